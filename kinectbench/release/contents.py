@@ -30,7 +30,7 @@ PREVIEWS, ROWS = "previews", "metadata.jsonl"
 OBJECT_FILES = ("mesh.ply", "volume.npz")
 # objects/<recording>.glb, and its largest size: enough for 60,000 triangles with normals.
 GLB, MOST_GLB_BYTES = ".glb", 2_000_000
-VIEW_IMAGES = (".depth.png", ".mask.png")
+VIEW_IMAGES, COLOR = (".depth.png", ".mask.png"), ".color.jpg"
 # surfaces/<recording>.ply: an open mesh that is the truth, world frame, metres.
 SURFACES = "surfaces"
 LICENSE = "LICENSE"

@@ -252,28 +252,35 @@ def sum_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator
             yield f"{TARGETS_CSV}, line {line}: another SHA-256 for {target.file} than in {SHA256SUMS}"
 
 
-def copy_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a message for each copied pair or mesh: the same bytes under two names.
+def copy_problems(
+    targets: Iterable[Target], sums: Mapping[str, str], inputs: Mapping[str, str] = {}
+) -> Iterator[str]:
+    """Yield a message for each copied pair or mesh: the same content under two names.
 
     A copy in another split would be trained on before it is scored, and no two real views or recordings give
-    the same bytes. Pairs are compared within a recording. Meshes (or, where there are none, the sets of all
-    pairs) are compared between objects of different splits. Recordings without images are not checked,
-    because collections of CAD models contain copies.
+    the same content. Within a recording pairs are compared, between objects of different splits pairs and
+    meshes. Recordings without images are not checked, because collections of CAD models contain copies.
+
+    Args:
+        targets: the lines of targets.csv.
+        sums: {file: hash} of SHA256SUMS.
+        inputs: {pair file: hash of its unpacked `partial_256`}; of others the file's hash is taken.
     """
     folders = {name.rpartition("/")[0] for name in sums if name.endswith(".png")}
-    pairs, own = dict[tuple[str, str, str], list[str]](), dict[tuple[str, str], str]()
+    first, lines = dict[object, Target](), dict[tuple[str, str], str]()
     for target in targets:
-        if f"views/{target.recording}" in folders:
-            pairs.setdefault((target.recording, target.object, target.split), []).append(target.sha256)
-            copy_of = own.setdefault((target.recording, target.sha256), target.file)
-            if copy_of != target.file:
-                yield f"{target.file}: a copy of {copy_of}; no camera gives one view twice"
-    first = dict[object, tuple[str, str, str]]()
-    for (recording, thing, split), hashes in pairs.items():
-        mesh = sums.get(f"objects/{recording}/{OBJECT_FILES[0]}")
-        other, of, of_split = first.setdefault(mesh or tuple(sorted(hashes)), (recording, thing, split))
-        if of != thing and of_split != split:
-            yield (
-                f"{TARGETS_CSV}: {recording} ({split}) is a copy of {other} ({of_split}), though its object "
-                f"is '{thing}' and not '{of}'; name one object, in one split"
-            )
+        if f"views/{target.recording}" not in folders:
+            continue
+        content = inputs.get(target.file, target.sha256)
+        copied = first.setdefault((target.recording, content), target)
+        if copied.file != target.file:
+            lines[target.file, ""] = f"{target.file}: a copy of {copied.file}; no camera gives one view twice"
+        for key in (sums.get(f"objects/{target.recording}/{OBJECT_FILES[0]}"), content):
+            other = target if key is None else first.setdefault(key, target)
+            if other.object != target.object and other.split != target.split:
+                lines[target.recording, other.recording] = (
+                    f"{TARGETS_CSV}: {target.recording} ({target.split}) is a copy of {other.recording} "
+                    f"({other.split}), though its object is '{target.object}' and not '{other.object}'; name "
+                    "one object, in one split"
+                )
+    yield from lines.values()

@@ -65,7 +65,7 @@ def read_mask(path: Path, sha256: str) -> Bools:
     Raises:
         ReleaseError: as in `depth_m`.
     """
-    return mask_pixels(published_bytes(path, sha256), shown(path))
+    return np.asarray(mask_levels(published_bytes(path, sha256), shown(path)) > 0)
 
 
 def color(release: Release, target: Target) -> Rgb:
@@ -86,13 +86,13 @@ def depth_mm(png: bytes, where: str) -> NDArray[np.uint16]:
     return np.asarray(_decoded(png, where, DEPTH), dtype=np.uint16)
 
 
-def mask_pixels(png: bytes, where: str) -> Bools:
-    """Decode a stored mask: (height, width) bool.
+def mask_levels(png: bytes, where: str) -> NDArray[np.uint8]:
+    """Decode a stored mask: (height, width) uint8, 255 = the object, 0 elsewhere.
 
     Raises:
         ReleaseError: the bytes are no mask; the message begins with `where`.
     """
-    return np.asarray(_decoded(png, where, MASK) > 0)
+    return np.asarray(_decoded(png, where, MASK), dtype=np.uint8)
 
 
 def _pixels(release: Release, target: Target, kind: Kind) -> FileArray:

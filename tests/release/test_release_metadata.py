@@ -335,7 +335,7 @@ def test_schema_problems() -> None:
 def test_lineage(release: Release) -> None:
     chair = json.loads((release.folder / "lineage.json").read_text())["recordings"]["chair_01"]
     assert chair["files"] == {"depth/0.png": sha256_text("chair_01")} and chair["source"] == "made up"
-    assert chair["views"] == [{"view": v, "frame": 7, "stamp_ns": 70} for v in ("000", "001")]
+    assert chair["views"] == [{"view": f"00{n}", "frame": n, "stamp_ns": 70} for n in (0, 1)]
 
 
 def test_a_recording_of_one_file_has_its_name(build: Path, tmp_path: Path) -> None:

@@ -226,7 +226,10 @@ def test_where_recordings_are_looked_for(tmp_path: Path) -> None:
         "name: x\nrecordings:\n  - {id: one, path: rec/one, category: chair, masks: m}\n"
     )
     for path in (tmp_path, tmp_path / "benchmark.yaml"):
-        assert find_sources(path) == {"one": LocalRecording(tmp_path / "rec/one", tmp_path / "m")}
+        said = {"category": "chair"}
+        assert find_sources(path) == {
+            "one": LocalRecording(tmp_path / "rec/one", tmp_path / "m", stated=said)
+        }
     with raises(SettingsError, "settings.no-file"):
         find_sources(tmp_path / "nowhere")
 

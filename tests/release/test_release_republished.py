@@ -175,3 +175,30 @@ def test_licence_and_source_are_those_of_the_recordings(
     ]
     assert len(found) == 2 * len(NAMES)
     assert rebuilt(tmp_path / "benchmark", analytic / "build", sources) == []
+
+
+def test_object_category_and_split_are_those_that_benchmark_yaml_states(
+    analytic: Path, tmp_path: Path, sources: dict[str, LocalRecording]
+) -> None:
+    rows = "".join(
+        f"  - {{id: {name}, path: {name}, category: {kind}, object: {thing}, split: {split}}}\n"
+        for name, kind, thing, split, _ in RECORDINGS
+    )
+    config = tmp_path / "recordings" / "benchmark.yaml"
+    config.write_text(f"name: x\nrecordings:\n{rows}")
+    assert rebuilt(analytic / "benchmark", analytic / "build", find_sources(config)) == []
+    exchanged = rows.replace("red_chair, split: test", "sofa, split: train")
+    config.write_text(f"name: x\nrecordings:\n{exchanged}")
+    assert rebuilt(analytic / "benchmark", analytic / "build", find_sources(config)) == [
+        "benchmark.json: object of chair_01 is 'red_chair', which benchmark.yaml states as 'sofa'",
+        "benchmark.json: split of chair_01 is 'test', which benchmark.yaml states as 'train'",
+    ]
+
+
+def test_pages_say_which_splits_are_not_published(
+    analytic: Path, tmp_path: Path, sources: dict[str, LocalRecording]
+) -> None:
+    """Recordings that are left out are not made again, but pages speak of them."""
+    asked = ("chair_01", "chair_02", "table_01")
+    publish(synthetic_settings(RECORDINGS), analytic / "build", tmp_path / "benchmark", asked)
+    assert rebuilt(tmp_path / "benchmark", analytic / "build", sources) == []

@@ -169,7 +169,9 @@ def write_build(build: Path, wanted: Recordings = RECORDINGS, pair_of: PairOf = 
             (build / name / "pairs" / f"{view}.npz").write_bytes(pair_bytes(pair))
             write_images(build / name / "views", view, number, category)
             pose = pair.T_world_camera.tolist()
-            rows.append({"view": view, "frame": 7, "stamp_ns": 70, "T_world_camera": pose, "pixels": 12})
+            rows.append(
+                {"view": view, "frame": int(view), "stamp_ns": 70, "T_world_camera": pose, "pixels": 12}
+            )
         listed = {"pairs": [{"view": view, "frame": 7, "containment": 1.0} for view in views], "refused": []}
         write_json(build / name / "pairs" / "pairs.json", listed)
         write_json(build / name / "views" / "views.json", {"format_version": 1, "views": rows, "refused": []})

@@ -8,7 +8,7 @@ from pydantic import Field
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reference import ReferenceInfo
-from kinectbench.core.artefacts.stored import JSON_BYTES, Stored, StoredPart
+from kinectbench.core.artefacts.stored import JSON_BYTES, Count, Share, Stored, StoredPart
 from kinectbench.core.errors import KinectBenchError, ReleaseError
 from kinectbench.core.types import Framing, PartialRule, Split
 from kinectbench.core.untrusted_text import strict_json
@@ -44,7 +44,7 @@ class PairsInfo(StoredPart):
 
     framing: Framing | None = Field(None, description="what pairs' cubes are fitted to")
     partial_rule: PartialRule | None = Field(None, description="rule for reducing partials to 64^3")
-    min_containment: float = Field(description="least share of a partial's cells inside its shape")
+    min_containment: Share = Field(description="least share of a partial's cells inside its shape")
 
 
 class SettingsInfo(StoredPart):
@@ -69,8 +69,8 @@ class RecordingInfo(StoredPart):
     object: str = Field(description="the thing recorded")
     category: str = Field(description="such as chair")
     split: Split = Field(description="train, validation or test")
-    pairs: int = Field(description="number of pairs published")
-    refused: int = Field(description="frames that were refused as views, and views whose pair was refused")
+    pairs: Count = Field(description="number of pairs published")
+    refused: Count = Field(description="frames that were refused as views, and views whose pair was refused")
     quality: QualityFile = Field(
         description="quality.json of its object, without `method`; empty if held back"
     )
@@ -88,17 +88,17 @@ class RecordingInfo(StoredPart):
         description="comparison of its truth with a mesh, by `compare-truth`; null or missing: not compared, "
         "or held back",
     )
-    visible_share: float | None = Field(
+    visible_share: Share | None = Field(
         None,
         description="share of the true surface that a view saw, mean over the pairs; null or missing: held "
         "back, or not measured",
     )
-    rebuilt_iou: float | None = Field(
+    rebuilt_iou: Share | None = Field(
         None,
         description="truth held back: IoU, where truth is known, of a solid carved from all the recording's "
         "public views at their true poses",
     )
-    rebuilt_single_iou: float | None = Field(
+    rebuilt_single_iou: Share | None = Field(
         None, description="the same IoU from one view alone, mean over some views"
     )
 
@@ -106,18 +106,18 @@ class RecordingInfo(StoredPart):
 class Flow(StoredPart):
     """The number of recordings tried, and their outcomes."""
 
-    tried: int = Field(description="recordings of the benchmark")
-    not_built: int = Field(description="recordings not built, or not requested")
-    failed: int = Field(description="recordings whose build failed")
-    rejected: int = Field(description="recordings that a person rejected")
-    below_limits: int = Field(description="recordings that violate `publish.gate`")
-    without_pair: int = Field(description="recordings without any pair")
-    of_one_object: int = Field(
+    tried: Count = Field(description="recordings of the benchmark")
+    not_built: Count = Field(description="recordings not built, or not requested")
+    failed: Count = Field(description="recordings whose build failed")
+    rejected: Count = Field(description="recordings that a person rejected")
+    below_limits: Count = Field(description="recordings that violate `publish.gate`")
+    without_pair: Count = Field(description="recordings without any pair")
+    of_one_object: Count = Field(
         description="recordings left out by `--isolate`: another shows the same object"
     )
-    published: int = Field(description="recordings in this release")
-    poor: int = Field(description="recordings published though they violate `publish.gate`")
-    look: int = Field(description="recordings published that still need a person's review")
+    published: Count = Field(description="recordings in this release")
+    poor: Count = Field(description="recordings published though they violate `publish.gate`")
+    look: Count = Field(description="recordings published that still need a person's review")
 
     @property
     def left_out(self) -> int:
@@ -237,7 +237,7 @@ class PublishStamp(Stored):
     fingerprint: str = Field(description="fingerprint of the settings, the pairs' manifests and the options")
     options: PublishOptions = Field(description="options requested beyond the settings")
     benchmark_sha256: str = Field(description="`benchmark_sha256` of the release")
-    pairs: int = Field(description="number of pairs published")
+    pairs: Count = Field(description="number of pairs published")
     recordings: tuple[str, ...] = Field(description="ids of the published recordings")
     warnings: tuple[str, ...] = Field(description="warnings, one line each")
     private_sha256: str | None = Field(

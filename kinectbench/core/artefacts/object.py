@@ -8,7 +8,17 @@ from typing import Literal, Self
 from pydantic import Field
 
 from kinectbench.core.artefacts.solid_method import SolidMethod
-from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, ScaledPart, Stored, StoredPart, Vector4
+from kinectbench.core.artefacts.stored import (
+    Count,
+    DegreesInFile,
+    Matrix4,
+    NotNegative,
+    ScaledPart,
+    Share,
+    Stored,
+    StoredPart,
+    Vector4,
+)
 from kinectbench.core.geometry import BoxAnchor, OrientedBox, Pose
 from kinectbench.core.types import Split, Underside
 
@@ -45,7 +55,7 @@ class BoxPart(StoredPart):
     """An upright box in the floor frame, as benchmark.yaml writes it."""
 
     center_m: Triple = Field(description="centre, floor frame, metres")
-    size_m: Triple = Field(description="edge lengths, metres")
+    size_m: tuple[NotNegative, NotNegative, NotNegative] = Field(description="edge lengths, metres")
     yaw_rad: float = Field(description="turn about z, radians, counter-clockwise seen from above")
 
     @classmethod
@@ -66,10 +76,10 @@ class FloorCandidate(StoredPart):
     """A plane that may have been the floor, and the reason against it."""
 
     plane_world: Vector4 = Field(description="[a, b, c, d], as for the floor, before refinement")
-    inlier_share: float = Field(description="share of the scene's surface on the plane")
-    cameras_above_share: float = Field(description="share of cameras looking down on it")
-    below_share: float = Field(description="share of the scene's surface below it")
-    under_share: float = Field(
+    inlier_share: Share = Field(description="share of the scene's surface on the plane")
+    cameras_above_share: Share = Field(description="share of cameras looking down on it")
+    below_share: Share = Field(description="share of the scene's surface below it")
+    under_share: NotNegative = Field(
         description="points right below the plane's own area, divided by the points on the plane; may exceed "
         "1"
     )
@@ -110,8 +120,8 @@ class FloorFile(Stored):
     format_version: Literal[1] = Field(1, description="version of this file's format")
     plane_world: Vector4 = Field(description="[a, b, c, d]: a x + b y + c z + d = 0, (a, b, c) up; metres")
     T_floor_world: Matrix4 = Field(description="(4, 4), metres; frame floor: z up, floor at z = 0")
-    noise_m: float = Field(description="standard deviation of points on the floor, metres")
-    inlier_share: float = Field(description="share of the scene's surface on the plane")
+    noise_m: NotNegative = Field(description="standard deviation of points on the floor, metres")
+    inlier_share: Share = Field(description="share of the scene's surface on the plane")
     tilt_rad: float | None = Field(
         None, description="angle between its normal and up, by gravity or how cameras were held, radians"
     )
@@ -130,11 +140,11 @@ class FloorFile(Stored):
 class LabelCounts(StoredPart):
     """Voxels of each label (`Label`)."""
 
-    free: int = Field(description="voxels seen through")
-    other: int = Field(description="voxels seen, but not the object's")
-    surface: int = Field(description="voxels measured on the object, or just behind")
-    interior: int = Field(description="voxels that no camera could see")
-    unknown: int = Field(description="unseen voxels that some camera could see")
+    free: Count = Field(description="voxels seen through")
+    other: Count = Field(description="voxels seen, but not the object's")
+    surface: Count = Field(description="voxels measured on the object, or just behind")
+    interior: Count = Field(description="voxels that no camera could see")
+    unknown: Count = Field(description="unseen voxels that some camera could see")
 
 
 class UnseenSidePart(ScaledPart):
@@ -145,22 +155,22 @@ class UnseenSidePart(ScaledPart):
         description="direction of its middle from the object, degrees from the floor's x axis, "
         "counter-clockwise"
     )
-    share: float = Field(description="share of horizontal directions in which an upright side was never seen")
+    share: Share = Field(description="share of horizontal directions in which an upright side was never seen")
 
 
 class MovingPart(StoredPart):
     """Frames in which something moves: it lies in front of the scene, and other frames do not see it."""
 
-    judged: int = Field(description="number of frames examined")
+    judged: Count = Field(description="number of frames examined")
     frames: tuple[int, ...] = Field(description="indices of frames in which something moves")
-    largest_share: float = Field(description="largest share of a frame's pixels in front of the scene")
+    largest_share: Share = Field(description="largest share of a frame's pixels in front of the scene")
 
 
 class FrontierPart(StoredPart):
     """An opening into unseen space: it borders on free space without a surface between."""
 
     direction: Literal["up", "side", "down"] = Field(description="outward direction from the unseen region")
-    area_m2: float = Field(
+    area_m2: NotNegative = Field(
         description="area of its faces in that direction, square metres; more than the box `size_m` where "
         "faces lie behind others"
     )
@@ -173,9 +183,9 @@ class FrontierPart(StoredPart):
         description="unit vector towards where a camera would look into it, floor frame"
     )
     advice: str = Field(description="one line of advice for recording it")
-    volume_m3: float = Field(description="volume of the unseen region behind it, cubic metres")
-    inside_share: float = Field(description="share of that volume expected inside the object")
-    solid_share: float = Field(description="share of that volume that the solid fills")
+    volume_m3: NotNegative = Field(description="volume of the unseen region behind it, cubic metres")
+    inside_share: Share = Field(description="share of that volume expected inside the object")
+    solid_share: Share = Field(description="share of that volume that the solid fills")
     underside: bool | None = Field(
         None,
         description="whether the region can be seen only from below",
@@ -188,7 +198,7 @@ class ReferenceTruth(StoredPart):
     kind: Literal["reference mesh"] = Field(description="what the truth is")
     reference: str = Field(description="the mesh's file")
     sha256: str = Field(description="SHA-256 of its bytes")
-    residual_m: float = Field(description="mean distance to the measured surface, both ways, metres")
+    residual_m: NotNegative = Field(description="mean distance to the measured surface, both ways, metres")
     scale: float = Field(description="factor by which the mesh would fit best; not applied")
 
 
@@ -205,65 +215,65 @@ class QualityFile(Stored):
         description="warnings that the object may not be one whole thing, or may not stand on the floor "
         "found",
     )
-    repeatability_iou: float | None = Field(
+    repeatability_iou: Share | None = Field(
         None, description="IoU between the solids of odd and of even frames"
     )
-    estimated_iou: float | None = Field(None, description="estimate of the solid's IoU to the unknown truth")
-    estimated_iou_low: float | None = Field(None, description=INTERVAL_LOW)
-    estimated_iou_high: float | None = Field(None, description=INTERVAL_HIGH)
+    estimated_iou: Share | None = Field(None, description="estimate of the solid's IoU to the unknown truth")
+    estimated_iou_low: Share | None = Field(None, description=INTERVAL_LOW)
+    estimated_iou_high: Share | None = Field(None, description=INTERVAL_HIGH)
     estimated_iou_reasons: tuple[str, ...] = Field((), description="what widens the interval, a line each")
-    estimated_known_iou: float | None = Field(
+    estimated_known_iou: Share | None = Field(
         None, description="estimate of the IoU to the unknown truth over known voxels alone"
     )
-    estimated_known_iou_low: float | None = Field(
+    estimated_known_iou_low: Share | None = Field(
         None, description="lower end of its interval; not guaranteed"
     )
-    estimated_known_iou_high: float | None = Field(
+    estimated_known_iou_high: Share | None = Field(
         None, description="upper end of its interval; not guaranteed"
     )
     frontiers: tuple[FrontierPart, ...] = Field(
         (), description="openings that nobody looked into, largest volume behind first"
     )
-    surface_sigma_m: float | None = Field(None, description="standard deviation of the surface, metres")
-    unknown_share: float | None = Field(None, description="unknown share of the solid")
-    unknown_air_share: float | None = Field(
+    surface_sigma_m: NotNegative | None = Field(None, description="standard deviation of the surface, metres")
+    unknown_share: Share | None = Field(None, description="unknown share of the solid")
+    unknown_air_share: NotNegative | None = Field(
         None, description="unseen volume taken for air, divided by the solid's volume; may exceed 1"
     )
-    doubtful_share: float | None = Field(
+    doubtful_share: Share | None = Field(
         None, description="share of the solid that may be hollow; in files up to version 27 of the stage"
     )
     underside: Underside | None = Field(
         None, description="`underside` in benchmark.yaml: a person's statement, not measured"
     )
-    underside_share: float | None = Field(
+    underside_share: Share | None = Field(
         None,
         description="unseen share of the solid that cameras could see only from below",
     )
-    volume_m3: float | None = Field(None, description="volume of the solid, cubic metres")
+    volume_m3: NotNegative | None = Field(None, description="volume of the solid, cubic metres")
     labels: LabelCounts | None = Field(None, description="voxels of each label")
     box: BoxPart | None = Field(None, description="box around the object, floor frame")
     box_odd: BoxPart | None = Field(None, description="box from odd frames alone")
     box_even: BoxPart | None = Field(None, description="box from even frames alone")
     selection: str | None = Field(None, description="how the object was selected: automatic, box or masks")
-    good_frames: int | None = Field(None, description="number of frames fused")
+    good_frames: Count | None = Field(None, description="number of frames fused")
     unseen_side: UnseenSidePart | None = Field(None, description="side that no camera looked at")
     moving: MovingPart | None = Field(None, description="frames in which something moves")
-    max_depth_m: float | None = Field(None, description="largest depth fused into the object, metres")
-    beyond_share: float | None = Field(
+    max_depth_m: NotNegative | None = Field(None, description="largest depth fused into the object, metres")
+    beyond_share: Share | None = Field(
         None, description="share of depth around the object beyond `max_depth_m`"
     )
-    off_share: float | None = Field(
+    off_share: Share | None = Field(
         None,
         description="share of the depth on the object that lies 20 mm and more off its surface; null: none "
         "of it lies clear of the floor",
     )
-    inverse_depth_steps: float | None = Field(
+    inverse_depth_steps: NotNegative | None = Field(
         None,
         description="steps of inverse depth, 1/m: 346 of a Kinect v1; else estimates allow for a bias",
     )
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
     source: str | None = Field(None, description="synthesised: source mesh")
-    faces: int | None = Field(None, description="synthesised: triangles of the mesh")
+    faces: Count | None = Field(None, description="synthesised: triangles of the mesh")
     truth: ReferenceTruth | None = Field(
         None, description="a mesh that is the truth, in place of what was fused; missing: fused"
     )
@@ -335,7 +345,7 @@ class SynthesisedQualityFile(Stored):
     verdict: str = Field(description="summary in words")
     method: str = Field(description="rule by which the mesh was filled")
     source: str = Field(description="the mesh, or the seed it was made from")
-    faces: int = Field(description="triangles of the mesh")
+    faces: Count = Field(description="triangles of the mesh")
     warnings: tuple[str, ...] = Field(description="warnings, one line each")
 
 

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from pydantic import Field, field_validator
 
 from kinectbench.core.artefacts.benchmark import ReleaseFile
-from kinectbench.core.artefacts.stored import StoredPart
+from kinectbench.core.artefacts.stored import Count, StoredPart
 from kinectbench.core.names import StoredCategory, unlike
 from kinectbench.core.storage import canonical_json, sha256_text
 
@@ -33,7 +33,7 @@ class LineageView(StoredPart):
     """The frame of a view."""
 
     view: str = Field(description="zero-padded index")
-    frame: int = Field(description="index among the recording's depth images, in their order")
+    frame: Count = Field(description="index among the recording's depth images, in their order")
     stamp_ns: int = Field(description="depth stamp, nanoseconds")
 
 

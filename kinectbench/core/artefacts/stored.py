@@ -7,6 +7,7 @@ name of its value in memory. The model `ScaledPart` makes the key: `shift_m: Mil
 
 import math
 import re
+from collections.abc import Callable
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
@@ -251,6 +252,22 @@ def _scaled_in_file(factor: float, decimals: int) -> tuple[object, ...]:
     )
 
 
+def must(what: str, is_so: Callable[[Any], bool]) -> AfterValidator:
+    """Return a validator that raises ValueError("must " + what) for a value that `is_so` rejects."""
+
+    def checked(value: object) -> object:
+        if not is_so(value):
+            raise ValueError(f"must {what}")
+        return value
+
+    return AfterValidator(checked)
+
+
+# Numbers that files state, untrusted: a sum of shares may be above 1 by rounding.
+ROUNDING = 1e-9
+Share = Annotated[float, must("be a share from 0 to 1", lambda x: -ROUNDING <= x <= 1 + ROUNDING)]
+NotNegative = Annotated[float, must("not be negative", lambda x: x >= -ROUNDING)]
+Count = Annotated[int, must("not be negative", lambda n: n >= 0)]
 # Metres in memory, millimetres to a hundredth in the file.
 MillimetresInFile = Annotated[float, *_scaled_in_file(1000.0, 2)]
 # Seconds in memory, milliseconds to a hundredth in the file; the key is an alias of the field's own.

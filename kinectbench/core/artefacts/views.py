@@ -1,11 +1,20 @@
 """views.json and pairs.json: the views of a recording with their statistics, and the pairs made of them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, StringConstraints
+from pydantic import Field, StringConstraints
 
-from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored, StoredPart
+from kinectbench.core.artefacts.stored import (
+    Count,
+    Matrix3,
+    Matrix4,
+    NotNegative,
+    Share,
+    Stored,
+    StoredPart,
+    must,
+)
 from kinectbench.core.untrusted import MOST_SIDE_PX
 
 UNKNOWN_SHARE = "unknown share of the true shape's volume in the pair's cube"
@@ -19,20 +28,9 @@ Steps = tuple[int, int, int]
 Angles = tuple[float, float, float]
 
 
-def _must(what: str, is_so: Callable[[object], bool]) -> AfterValidator:
-    """Return a validator that raises ValueError("must " + what) for a value that `is_so` rejects."""
-
-    def checked(value: object) -> object:
-        if not is_so(value):
-            raise ValueError(f"must {what}")
-        return value
-
-    return AfterValidator(checked)
-
-
-Side = Annotated[int, _must(f"be 1 to {MOST_SIDE_PX} pixels", lambda pixels: 1 <= pixels <= MOST_SIDE_PX)]
-Focal = Annotated[float, _must("be a positive focal length", lambda pixels: pixels > 0)]
-Intrinsics = Annotated[Matrix3, _must("have positive focal lengths", lambda K: K[0, 0] > 0 and K[1, 1] > 0)]
+Side = Annotated[int, must(f"be 1 to {MOST_SIDE_PX} pixels", lambda pixels: 1 <= pixels <= MOST_SIDE_PX)]
+Focal = Annotated[float, must("be a positive focal length", lambda pixels: pixels > 0)]
+Intrinsics = Annotated[Matrix3, must("have positive focal lengths", lambda K: K[0, 0] > 0 and K[1, 1] > 0)]
 
 
 class ViewRow(StoredPart):
@@ -41,34 +39,34 @@ class ViewRow(StoredPart):
     view: ViewName = Field(description="zero-padded index")
     steps: Steps | None = Field(None, description="synthesised: steps of roll, pitch, yaw")
     angles_rad: Angles | None = Field(None, description="synthesised: roll, pitch, yaw, radians")
-    frame: int | None = Field(None, description="index of the frame in the recording")
+    frame: Count | None = Field(None, description="index of the frame in the recording")
     stamp_ns: int | None = Field(None, description="depth stamp, nanoseconds")
     reason: str | None = Field(None, description="why it was chosen")
     T_world_camera: Matrix4 | None = Field(
         None, description="(4, 4), camera to world, metres, after alignment"
     )
-    moved_m: float | None = Field(None, description="translation by the alignment, metres")
+    moved_m: NotNegative | None = Field(None, description="translation by the alignment, metres")
     turned_rad: float | None = Field(None, description="rotation by the alignment, radians")
-    blur: float | None = Field(None, description="the colour image's blur, see docs/tracking.md")
-    pose_residual_m: float | None = Field(None, description="tracker's residual, metres")
-    pixels: int | None = Field(None, description="pixels in the mask")
-    visible_share: float | None = Field(None, description="share of the silhouette that has depth")
-    border_share: float | None = Field(None, description="share of the silhouette within 1 px of the border")
-    dropped_share: float | None = Field(
+    blur: NotNegative | None = Field(None, description="the colour image's blur, see docs/tracking.md")
+    pose_residual_m: NotNegative | None = Field(None, description="tracker's residual, metres")
+    pixels: Count | None = Field(None, description="pixels in the mask")
+    visible_share: Share | None = Field(None, description="share of the silhouette that has depth")
+    border_share: Share | None = Field(None, description="share of the silhouette within 1 px of the border")
+    dropped_share: Share | None = Field(
         None, description="share of depth in the silhouette that the mask leaves out"
     )
-    containment: float | None = Field(
+    containment: Share | None = Field(
         None, description="share of the view's cells inside the shape, dilated once"
     )
-    residual_m: float | None = Field(
+    residual_m: NotNegative | None = Field(
         None, description="median difference between measured and rendered depth, metres"
     )
-    truncated_share: float | None = Field(None, description="share of the silhouette outside the image")
+    truncated_share: Share | None = Field(None, description="share of the silhouette outside the image")
     K: Intrinsics | None = Field(None, description="(3, 3) intrinsics, pixels; pixel centres are integers")
     width: Side | None = Field(None, description="width of depth and mask, pixels")
     height: Side | None = Field(None, description="height of depth and mask, pixels")
     pair: bool | None = Field(None, description="whether the view has a pair and published images")
-    unknown_share: float | None = Field(None, description=UNKNOWN_SHARE)
+    unknown_share: Share | None = Field(None, description=UNKNOWN_SHARE)
 
 
 class Refused(StoredPart):
@@ -77,7 +75,7 @@ class Refused(StoredPart):
     view: ViewName | None = Field(None, description="zero-padded index; frames that were no views have none")
     steps: Steps | None = Field(None, description="synthesised: steps of roll, pitch, yaw")
     angles_rad: Angles | None = Field(None, description="synthesised: roll, pitch, yaw, radians")
-    frame: int | None = Field(None, description="index of the frame in the recording")
+    frame: Count | None = Field(None, description="index of the frame in the recording")
     reason: str = Field(description="why it was refused")
 
 
@@ -111,21 +109,21 @@ class PairRow(StoredPart):
     """Statistics of one pair of a partial view and the full shape."""
 
     view: ViewName = Field(description="zero-padded index")
-    frame: int | None = Field(None, description="index of the frame in the recording")
-    containment: float | None = Field(
+    frame: Count | None = Field(None, description="index of the frame in the recording")
+    containment: Share | None = Field(
         None, description="share of the view's cells inside the shape, dilated once"
     )
-    residual_m: float | None = Field(
+    residual_m: NotNegative | None = Field(
         None, description="median difference between measured and rendered depth, metres"
     )
-    dropped_share: float | None = Field(
+    dropped_share: Share | None = Field(
         None, description="share of depth in the silhouette that the mask leaves out"
     )
-    visible_share: float | None = Field(None, description="share of the silhouette that has depth")
-    moved_m: float | None = Field(None, description="translation by the alignment, metres")
+    visible_share: Share | None = Field(None, description="share of the silhouette that has depth")
+    moved_m: NotNegative | None = Field(None, description="translation by the alignment, metres")
     turned_rad: float | None = Field(None, description="rotation by the alignment, radians")
-    cut_share: float | None = Field(None, description="share of the shape's volume outside the pair's cube")
-    unknown_share: float | None = Field(None, description=UNKNOWN_SHARE)
+    cut_share: Share | None = Field(None, description="share of the shape's volume outside the pair's cube")
+    unknown_share: Share | None = Field(None, description=UNKNOWN_SHARE)
 
 
 class PairsFile(Stored):

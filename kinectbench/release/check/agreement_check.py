@@ -1,6 +1,7 @@
 """Check that a release's texts and metadata files agree with benchmark.json and targets.csv."""
 
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -10,7 +11,7 @@ from yaml import ScalarNode
 from kinectbench.core import KinectBenchError, ReleaseError, SettingsError, StorageError, printable, quoted
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
-from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
+from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording
 from kinectbench.core.artefacts.targets import (
     EARLIER_COLUMNS,
     SHA256SUMS,
@@ -20,16 +21,18 @@ from kinectbench.core.artefacts.targets import (
     targets_text,
 )
 from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.engine.stages import STAGES
 from kinectbench.release.check.figure_check import (
     floor_problems,
     frame_problems,
     gate_problems,
     lineage_problems,
+    lineage_rows,
     own_problems,
     quality_problems,
     refused_problems,
 )
-from kinectbench.release.check.object_check import recording_of
+from kinectbench.release.check.missing_files import hidden_files
 from kinectbench.release.contents import (
     CARD,
     CITATION,
@@ -54,8 +57,8 @@ from kinectbench.release.publish.reconstruction_attack import attack_line
 from kinectbench.release.publish.schemas import schema_problems
 from kinectbench.settings.yaml_nodes import compose, items
 
-# Files of an object that are published even if its truth is held back.
-PUBLIC_OF_OBJECT = ("floor.json",)
+# Keys of each view in views.json, where its truth is public, beside `VIEW_KEYS`.
+POSED_KEYS = ("frame", "stamp_ns", "T_world_camera")
 # Matches a line of the card about a recording and the gate: the text after the recording's name.
 OF_GATE = re.compile(
     " is left out: | is published all the same | is published, and a person should look at it: "
@@ -117,7 +120,9 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     for name in sorted(whole):
         if name.endswith(".json") and name != BENCHMARK_JSON:
             try:
-                yield from _schema_problems(contents, name)
+                text = contents.text(name)
+                release_json(text, name)
+                yield from (f"{name}: {fault}" for fault in schema_problems(name, text))
             except ReleaseError as error:
                 yield str(error)
                 whole.remove(name)
@@ -133,10 +138,13 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     if stated.says_twice:
         yield from own_problems(stated.metadata)
         yield from gate_problems(stated.metadata)
-        checks[DATASHEET] = _datasheet_problems
+        lines = datasheet.datasheet_figures(stated.metadata.recordings)
+        checks[DATASHEET] = lambda text, _: _missing(text, lines, f"the line '{{}}' of {BENCHMARK_JSON}")
     checks |= {f"{PREVIEWS}/{split}/{ROWS}": partial(_rows_problems, split) for split in SPLITS}
+    lineage = lineage_rows(contents, whole)
     checks |= {
-        f"views/{name}/views.json": partial(_views_problems, name) for name in stated.metadata.recordings
+        f"views/{name}/views.json": partial(_views_problems, name, lineage.get(name))
+        for name in stated.metadata.recordings
     }
     limits = _limits(stated.metadata)
     for name, check in checks.items():
@@ -155,15 +163,8 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
                     yield from quality_problems(file, contents.text(file), info)
                 except (KinectBenchError, ValueError) as error:
                     yield str(error)
-    yield from frame_problems(contents, stated.metadata, whole)
     yield from floor_problems(contents, stated.metadata, whole)
-    yield from _published_truth(contents, stated.metadata)
-
-
-def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
-    text = contents.text(name)
-    release_json(text, name)
-    yield from (f"{name}: {fault}" for fault in schema_problems(name, text))
+    yield from hidden_files(stated.metadata, contents.entries)
 
 
 def _limits(metadata: ReleaseInfo) -> dict[str, int]:
@@ -262,12 +263,6 @@ def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
             yield f"says otherwise than {BENCHMARK_JSON} whether {printable(name)} is left out or poor"
 
 
-def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:
-    yield from _missing(
-        text, datasheet.datasheet_figures(stated.metadata.recordings), f"the line '{{}}' of {BENCHMARK_JSON}"
-    )
-
-
 def _missing(text: str, wanted: str, subject: str) -> Iterator[str]:
     """Yield a message for each line of `wanted` that is not in `text`; `subject` is a format for the line."""
     rows = dict.fromkeys(wanted.splitlines())
@@ -289,7 +284,6 @@ def _license_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _citation_problems(text: str, stated: Stated) -> Iterator[str]:
-
     # Nodes instead of values, so that aliases are never expanded.
     version = items(compose(text, CITATION)).get("version")
     wanted = stated.metadata.version
@@ -311,10 +305,8 @@ def _croissant_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _datacite_problems(text: str, stated: Stated) -> Iterator[str]:
-    content, license = (
-        release_json(text, DATACITE),
-        common_license(stated.metadata.recordings, stated.metadata.license),
-    )
+    content = release_json(text, DATACITE)
+    license = common_license(stated.metadata.recordings, stated.metadata.license)
     rights = content.get("rightsList") or [{}]
     for what, said, wanted in (
         ("version", content.get("version"), stated.metadata.version),
@@ -337,6 +329,11 @@ def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
             yield f"other views of {printable(name)} than in {TARGETS_CSV}"
         if stated.metadata.isolates(name) and (row.files or row.files_sha256 or row.stages or row.views):
             yield f"says how {printable(name)} was made, of which one view alone is published"
+        elif stated.metadata.of_this_version and not stated.metadata.isolates(name):
+            if absent := [stage.name for stage in STAGES if stage.name not in row.stages]:
+                yield f"does not say how {', '.join(absent)} of {printable(name)} was made"
+            if not (row.files or row.files_sha256) or (row.views is None and not stated.metadata.hides(name)):
+                yield f"does not name the files or the views of {printable(name)}"
     if stated.says_twice:
         yield from lineage_problems(lineage, stated.metadata)
 
@@ -367,32 +364,32 @@ def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
         yield f"{printable(odd[0], 200)} and the pairs of {TARGETS_CSV} do not agree"
 
 
-def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
+def _views_problems(
+    recording: str, lineage: LineageRecording | None, text: str, stated: Stated
+) -> Iterator[str]:
     """Yield a message for each fault of a recording's views.json, whose content is `text`.
 
-    Faults are: views with a pair that differ from targets.csv, a number of refused frames and views that
-    differs from benchmark.json, and keys that reveal held-back truth.
+    Faults are: views with a pair that differ from targets.csv, a view that is there twice or lacks keys, a
+    number of refused frames and views that differs from benchmark.json, and keys that reveal held-back truth.
     """
     views = ViewsFile.parse(text, ViewsFile.FILE)
     rows = views.views
+    yield from frame_problems(views, lineage)
     if stated.says_twice and not stated.metadata.hides(recording):
         yield from refused_problems(views, stated.metadata.recordings[recording])
     listed = {row.view for row in rows if row.pair is not False}
     own_views = stated.views_of(recording)
     if own_views - listed or (listed - own_views and any(row.pair is not None for row in rows)):
         yield f"other views with a pair than in {TARGETS_CSV}"
+    frames = (f"frame {row.frame}" for row in rows if row.pair and row.frame is not None)
+    if twice := [
+        name for name, count in Counter((*(row.view for row in rows), *frames)).items() if count > 1
+    ]:
+        yield f"has {printable(twice[0])} twice"
+    needed = VIEW_KEYS if stated.metadata.hides(recording) else (*VIEW_KEYS, *POSED_KEYS)
+    absent = [key for key in needed if any(getattr(row, key) is None for row in rows)]
+    if absent and stated.metadata.of_this_version:
+        yield f"has views without {', '.join(absent)}"
     stated_as = {key for row in rows for key in row.json_value()} - set(VIEW_KEYS)
     if stated.metadata.hides(recording) and stated_as:
         yield f"holds {printable(', '.join(sorted(stated_as)))}, which is held back"
-
-
-def _published_truth(contents: Contents, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a message for each file that must not be in the release, because it reveals held-back truth."""
-    for name in contents.entries:
-        parts = name.split("/")
-        public = len(parts) > 2 and parts[2] in PUBLIC_OF_OBJECT
-        if parts[0] == "objects" and not public and metadata.hides(recording_of(name)):
-            yield f"{name}: truth of a split that is held back"
-        pictured = parts[2] if parts[0] == PREVIEWS and len(parts) > 2 else ""
-        if metadata.isolates(recording_of(name) if public and parts[0] == "objects" else pictured):
-            yield f"{name}: of a recording of which one view alone is published"

@@ -19,8 +19,11 @@ from kinectbench.core.geometry import ORTHONORMAL_TOLERANCE, is_rigid
 from kinectbench.release.contents import Contents
 from kinectbench.release.publish.attribution import reasons_against_distribution
 from kinectbench.release.publish.gate import ALLOWED, REJECTED, WITHHELD
+from kinectbench.release.triage.rules import beyond_limits, of_object
 from kinectbench.settings.publishing import GateSettings
 
+# Limits of `publish.gate` on what quality.json states.
+OF_QUALITY = ("min_estimated_iou", "max_unknown_share", "max_doubts")
 # Settings that hold for all pairs.
 OF_PAIRS = ("framing", "partial_rule")
 
@@ -39,6 +42,12 @@ def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
     reasons = reasons_against_distribution(metadata.recordings)
     if terms is not None and (terms.reasons != reasons or terms.allowed is bool(reasons)):
         yield f"{BENCHMARK_JSON}: distribution is not as licence and source of its recordings have it"
+    if metadata.held_back and metadata.public_benchmark_sha256:
+        yield f"{BENCHMARK_JSON}: is both the public part and the private part"
+    if metadata.private_benchmark_sha256 and not metadata.held_back:
+        yield f"{BENCHMARK_JSON}: names a private part, but holds nothing back"
+    if metadata.isolated and not (metadata.held_back or metadata.public_benchmark_sha256):
+        yield f"{BENCHMARK_JSON}: isolates recordings, but holds nothing back"
     for name, info in metadata.recordings.items():
         if metadata.hides(name) and info.quality.json_value():
             yield f"{BENCHMARK_JSON}: holds the quality of {printable(name)}, which is held back"
@@ -55,7 +64,8 @@ def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
     The expected state is computed from the recording's quality and the limits in `settings.publish.gate`. A
     recording that violates a limit but is published is poor, and accepted for a stated reason. Limits on
     trajectory grades and camera warnings are not checked, because a release does not contain these. Wrong
-    counts in the key `flow` of benchmark.json give a message, too.
+    counts in the key `flow` of benchmark.json give a message, too, and so do reasons for a review that follow
+    from the quality and are not in `look`.
     """
     try:
         limits = GateSettings.model_validate((metadata.settings.publish or {}).get("gate", {}))
@@ -74,6 +84,9 @@ def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
         if info.accepted not in (None, ALLOWED) and not _reviewed(reviews.get(name), "accept"):
             yield f"{where}: 'accepted' is by no review of the settings, nor {ALLOWED}"
         yield from (f"{where}: {fault}" for fault in _poor_problems(info, limits))
+        if metadata.of_this_version and not info.poor and not reviews.get(name):
+            absent = [line for line in of_object(info.quality) if line not in info.look]
+            yield from (f"{where}: 'look' does not have '{printable(line, 200)}'" for line in absent)
     if (flow := metadata.flow) is not None:
         published, left_out = len(metadata.recordings), len(metadata.left_out or {})
         look = sum(bool(info.look) for info in metadata.recordings.values())
@@ -95,23 +108,16 @@ def _reviewed(review: object, decision: str) -> bool:
 
 def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
     """Yield a message for each limit that is violated but not in `poor`, or is in `poor` but not violated."""
-    quality = info.quality
-    value, low, _ = quality.trusted_iou
-    values = [1 if each is None else each for each in (value, low)]
+    low, least = info.quality.trusted_iou[1], limits.min_estimated_iou
+    broken = " ".join(beyond_limits(limits, info.quality, None, None))
     # If the trajectory is not good, the limit applies to the interval's lower end, so either value may break
-    # it.
-    low_iou, any_low = (each < limits.min_estimated_iou for each in (values[0], min(values)))
-    unknown = (quality.unknown_share or 0) > limits.max_unknown_share
-    warned = len(quality.measurement_warnings) > limits.max_doubts
-    for key, must, may in (
-        ("min_estimated_iou", low_iou, any_low),
-        ("max_unknown_share", unknown, unknown),
-        ("max_doubts", warned, True),
-    ):
+    # it. Warnings of the camera are not in a release.
+    may = f"{broken} max_doubts {'min_estimated_iou' if low is not None and low < least else ''}"
+    for key in OF_QUALITY:
         is_stated = any(f"publish.gate.{key}" in line for line in info.poor)
-        if is_stated and not may:
+        if is_stated and key not in may:
             yield f"'poor' names publish.gate.{key}, which its quality keeps"
-        elif must and not is_stated:
+        elif key in broken and not is_stated:
             yield f"'poor' does not name publish.gate.{key}, which its quality does not keep"
 
 
@@ -129,6 +135,9 @@ def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: Releas
         wanted = row.get(key)
         if key in row and (defaults.get(key) if wanted is None else wanted) != getattr(info, key):
             yield key
+    undersides = row.get("underside"), info.quality.underside
+    if None not in undersides and undersides[0] != undersides[1]:
+        yield "underside"
 
 
 def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]:
@@ -185,26 +194,21 @@ def _given(value: object) -> object:
     return {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value
 
 
-def frame_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
-    """Yield a message for each view whose frame or timestamp differs between views.json and lineage.json.
-
-    Only files in `whole` are read: those whose bytes are the published ones.
-    """
-    recordings: Mapping[str, LineageRecording] = {}
+def lineage_rows(contents: Contents, whole: Collection[str]) -> Mapping[str, LineageRecording]:
+    """Return the recordings of lineage.json; {} if it is not in `whole`, or damaged."""
     with suppress(ReleaseError, StorageError):  # reported as not of its schema
         if LINEAGE_JSON in whole:
-            recordings = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
-    for name in metadata.recordings:
-        file = f"views/{name}/{ViewsFile.FILE}"
-        of_lineage = recordings[name].views if name in recordings else None
-        if of_lineage is None or file not in whole:
-            continue
-        with suppress(ReleaseError, StorageError):  # reported as not of its schema
-            rows = {row.view: row for row in ViewsFile.parse(contents.text(file), file).views}
-            for view in of_lineage:
-                row = rows.get(view.view)
-                if row is not None and (row.frame, row.stamp_ns) != (view.frame, view.stamp_ns):
-                    yield f"{file}: another frame or stamp of {printable(view.view)} than in {LINEAGE_JSON}"
+            return Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
+    return {}
+
+
+def frame_problems(views: ViewsFile, lineage: LineageRecording | None) -> Iterator[str]:
+    """Yield a message for each view whose frame or timestamp in views.json differs from lineage.json."""
+    rows = {row.view: row for row in views.views}
+    for view in (lineage.views if lineage else None) or ():
+        row = rows.get(view.view)
+        if row is not None and (row.frame, row.stamp_ns) != (view.frame, view.stamp_ns):
+            yield f"another frame or stamp of {printable(view.view)} than in {LINEAGE_JSON}"
 
 
 def floor_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:

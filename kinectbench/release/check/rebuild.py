@@ -3,7 +3,7 @@
 import hashlib
 import io
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -32,7 +32,7 @@ from kinectbench.release.check.text_check import release_settings
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents, most_bytes
 from kinectbench.release.publish.small_files import data_package_versions
 from kinectbench.settings.file import load_benchmark
-from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 # At most this many files of a recording are named in a line.
 SHOWN = 3
@@ -46,15 +46,13 @@ class LocalRecording:
         path: the recording's file or folder.
         masks: folder of the user's masks; None if there is none.
         reference: the mesh that is the recording's truth; None if there is none.
-        license: its data's licence; None if no benchmark.yaml states it.
-        source: who recorded it, or where it is from; likewise.
+        stated: what a benchmark.yaml states of it: licence, source, object, category and split, by key.
     """
 
     path: Path
     masks: Path | None = None
     reference: Path | None = None
-    license: str | None = None
-    source: str | None = None
+    stated: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def paths(self) -> dict[str, Path | None]:
@@ -70,7 +68,7 @@ class RebuildPlan:
         settings: the release's settings for the recordings to rebuild, with this machine's paths.
         targets: the pairs to compare.
         notes: one line for each version that differs here, and each reason why pairs are not compared.
-        other_terms: one line for each licence or source that differs in the benchmark.yaml on this machine.
+        other_terms: one line for each statement that differs in the benchmark.yaml on this machine.
     """
 
     settings: BenchmarkSettings
@@ -99,8 +97,7 @@ def find_sources(path: Path, suffixes: Sequence[str] = ()) -> dict[str, LocalRec
                 root / r.path,
                 None if r.masks is None else root / r.masks,
                 None if r.reference is None else root / r.reference,
-                None if (license := settings.license_of(r)) == UNSPECIFIED else license,
-                None if (source := settings.source_of(r)) == UNSPECIFIED else source,
+                _stated(settings, r),
             )
             for r in settings.recordings
         }
@@ -109,6 +106,14 @@ def find_sources(path: Path, suffixes: Sequence[str] = ()) -> dict[str, LocalRec
     entries = sorted(path.iterdir(), key=lambda each: (each.name.lower().endswith(tuple(suffixes)), each))
     by_id = {each.stem: LocalRecording(each) for each in entries if not each.name.startswith(".")}
     return by_id | {each.name: LocalRecording(each) for each in entries if each.is_dir()}
+
+
+def _stated(settings: BenchmarkSettings, recording: RecordingSettings) -> dict[str, str]:
+    """Return {key: value} of what benchmark.yaml states of a recording, without defaults."""
+    terms = {"license": settings.license_of(recording), "source": settings.source_of(recording)}
+    own = {"object": recording.object, "category": recording.category}
+    own |= {"split": recording.split} if "split" in recording.model_fields_set else {}
+    return {key: value for key, value in (terms | own).items() if value not in (None, UNSPECIFIED)}
 
 
 def rebuild_plan(
@@ -191,11 +196,11 @@ def _settings(
 def _other_terms(
     metadata: ReleaseInfo, sources: Mapping[str, LocalRecording], wanted: set[str]
 ) -> Iterator[str]:
-    """Yield a line for each licence or source that differs in the benchmark.yaml on this machine."""
+    """Yield a line for each statement that differs in the benchmark.yaml on this machine."""
     for name in sorted(wanted):
-        for key in ("license", "source"):
-            stated, here = getattr(metadata.recordings[name], key), getattr(sources[name], key)
-            if here not in (None, stated):
+        for key, here in sources[name].stated.items():
+            stated = getattr(metadata.recordings[name], key)
+            if here != stated:
                 said = f"{key} of {name} is '{printable(stated)}'"
                 yield f"{BENCHMARK_JSON}: {said}, which benchmark.yaml states as '{printable(here)}'"
 

@@ -9,7 +9,12 @@ from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, Removed
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.engine.scratch import scratch_folder
-from kinectbench.release.check.text_check import said_without_advice, text_difference, value_differences
+from kinectbench.release.check.text_check import (
+    release_settings,
+    said_without_advice,
+    text_difference,
+    value_differences,
+)
 from kinectbench.release.contents import (
     CARD,
     GLB,
@@ -68,10 +73,11 @@ def republished_differences(
         yield from _file_differences(contents, folder, made)
         yield from _entry_differences(contents, info, settings, build, made)
         if made.keys() == info.recordings.keys() and info.package_version == __version__:
-            warnings = stated_warnings(info, settings, targets, contents.text(CARD))
-            given = (settings, targets, info.recordings, warnings)
+            every = release_settings(info)  # pages speak of recordings that are left out, too
+            warnings = stated_warnings(info, every, targets, contents.text(CARD))
+            given = (every, targets, info.recordings, warnings)
             pages = {PREVIEW: preview_text(folder, *given, (), build)}
-            pages |= category_texts(folder, settings, targets, info.recordings, ())
+            pages |= category_texts(folder, every, targets, info.recordings, ())
             for name, text in pages.items():
                 if name in contents.entries:
                     stated = said_without_advice(contents.text(name))

@@ -6,6 +6,7 @@ from kinectbench.core import listed, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
 from kinectbench.release.check.view_check import image_names, no_decoder
+from kinectbench.release.contents import OBJECT_FILES
 from kinectbench.release.opening import open_contents
 
 
@@ -34,6 +35,9 @@ def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
     without = sum(not sums.keys() >= set(image_names(name)) for name in pairs)
     if checksums_only or not pairs:
         return clauses
+    solids = [name.split("/")[1] for name in pairs if info.has_solid(name.split("/")[1])]
+    if bare := sum(f"objects/{recording}/{OBJECT_FILES[0]}" not in sums for recording in solids):
+        clauses.append(f"{bare} of {len(pairs)} shapes were compared with no mesh, which is not published")
     if without < len(pairs) and (missing := no_decoder()):
         clauses.append(f"no partial was compared with its view's depth: {missing}")
     elif without:

@@ -14,8 +14,9 @@ from pydantic import ValidationError
 from kinectbench.core import KinectBenchError, ReleaseError, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, PRIVACY_JSON, Lineage, Privacy
-from kinectbench.core.artefacts.targets import Target, by_recording, columns_of
-from kinectbench.release.contents import CARD, Contents, release_json
+from kinectbench.core.artefacts.targets import SHA256SUMS, Target, by_recording, columns_of, parse_sums
+from kinectbench.release.contents import CARD, CROISSANT, Contents, release_json
+from kinectbench.release.publish.croissant import LATER, described_files
 from kinectbench.release.publish.gate import ADVICE
 from kinectbench.release.publish.index_page import NO_PICTURE
 from kinectbench.release.publish.schemas import schema_texts
@@ -23,7 +24,7 @@ from kinectbench.release.publish.texts import release_facts, release_texts, stat
 from kinectbench.settings.models import BenchmarkSettings
 
 # A picture in a page.
-PICTURE = re.compile(r"data:image/[a-z]+;base64,[A-Za-z0-9+/=]*")
+PICTURE = re.compile(r"data:image/(?:jpeg|png);base64,[A-Za-z0-9+/=]*")
 # Keys of JSON files on the software that made them; not compared.
 OF_THIS_RUN = ("package_version", "packages", "fingerprint")
 # Characters of a line or value in a message.
@@ -86,7 +87,11 @@ def _other_texts(contents: Contents, metadata: ReleaseInfo, targets: Sequence[Ta
         if name in contents.entries:
             yield from text_difference(name, _plain(contents.text(name)), _plain(wanted))
     lineage = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON)
-    for name, facts in release_facts(metadata, settings, warnings, lineage).items():
+    sums = parse_sums(contents.text(SHA256SUMS), SHA256SUMS)
+    listed = {name: sha256 for name, sha256 in sums.items() if name not in LATER}
+    all_facts = release_facts(metadata, settings, warnings, lineage)
+    all_facts[CROISSANT].update(described_files(listed, columns_of(targets)))
+    for name, facts in all_facts.items():
         if name in contents.entries:
             stated = release_json(said_without_advice(contents.text(name)), name)
             yield from value_differences(name, {key: stated.get(key) for key in facts}, facts)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core import ReleaseError, StorageError, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
-from kinectbench.core.artefacts.object import FloorFile
+from kinectbench.core.artefacts.object import FloorFile, LabelCounts, QualityFile
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import Grid, TriangleMesh, is_rigid, parse_ply, transform_points
 from kinectbench.core.types import Bools
@@ -74,11 +74,12 @@ class ObjectTruth:
 
 
 def _object_truth(
-    contents: Contents, recording: str, whole: Collection[str]
+    contents: Contents, recording: str, whole: Collection[str], quality: QualityFile
 ) -> tuple[ObjectTruth, list[str]]:
     """Return the truth of an object, and a message for each difference of its volume or GLB from its mesh.
 
-    Missing files and damaged ones (not in `whole`) are skipped: `object_problems` reports them.
+    Figures of `quality` that follow from the volume are compared, too. Missing files and damaged ones (not in
+    `whole`) are skipped: `object_problems` reports them.
     """
     folder = f"objects/{recording}"
     try:
@@ -95,7 +96,11 @@ def _object_truth(
         return ObjectTruth(mesh, recorded), [*faults, str(error)]
     except (ReleaseError, *UNREADABLE):
         return ObjectTruth(mesh, recorded), faults
-    faults += [f"{folder}/{VOLUME}: {fault}" for fault in _volume_faults(mesh, grid, solid, labels)]
+    found = (
+        *_volume_faults(mesh, grid, solid, labels),
+        *_other_figures(grid, solid, labels, underside, quality),
+    )
+    faults += [f"{folder}/{VOLUME}: {fault}" for fault in found]
     known = labels != Label.UNKNOWN
     cells = {"known": known, "unknown": ~known, "interior": labels == Label.INTERIOR}
     if underside.shape == labels.shape:
@@ -167,6 +172,25 @@ def _volume_faults(
     other += int(np.count_nonzero(np.isin(labels, empty) & solid))
     if other:
         yield f"{other} voxels of 'solid' are not as 'labels' has them"
+
+
+def _other_figures(
+    grid: Grid, solid: Bools, labels: NDArray[np.integer], underside: Bools, quality: QualityFile
+) -> Iterator[str]:
+    """Yield a message if figures that `quality` states are not those of the volume."""
+    if quality.labels is None:  # of no volume that this version made
+        return
+    cells, unknown = max(1, int(solid.sum())), labels == Label.UNKNOWN
+    found: dict[str, object] = {
+        "labels": LabelCounts(**{each.name.lower(): int((labels == each).sum()) for each in Label}),
+        "volume_m3": round(int(solid.sum()) * grid.voxel_size_m**3, 6),
+    }
+    if quality.truth is None:  # of a reference mesh all is known
+        shares = {"unknown_share": solid & unknown, "unknown_air_share": ~solid & unknown}
+        shares |= {"underside_share": solid & underside} if underside.shape == solid.shape else {}
+        found |= {key: round(int(which.sum()) / cells, SHARE_DECIMALS) for key, which in shares.items()}
+    if other := [key for key, value in found.items() if getattr(quality, key) not in (None, value)]:
+        yield f"another {', '.join(other)} than in {QualityFile.FILE}"
 
 
 def _filled(mesh: TriangleMesh, grid: Grid, rule: str) -> Packed | str:
@@ -244,14 +268,18 @@ class TruthCheck:
     Attributes:
         contents: the release.
         whole: names of the files whose bytes are the published ones.
+        metadata: content of benchmark.json; None if it is unreadable.
         visible_shares: {recording: `visible_share` of each of its pairs that was checked}.
         keys: {recording: {pair file: the keys that it holds}}.
+        inputs: {pair file: hash of its `partial_256` and `T_world_camera`}.
     """
 
     contents: Contents
     whole: Collection[str]
+    metadata: ReleaseInfo | None
     visible_shares: dict[str, list[float]] = field(default_factory=dict)
     keys: dict[str, dict[str, frozenset[str]]] = field(default_factory=dict)
+    inputs: dict[str, str] = field(default_factory=dict)
     _last: tuple[str, ObjectTruth] = ("", ObjectTruth())
 
     def lines(self, recording: str, name: str, pair: Pair) -> list[str]:
@@ -260,15 +288,18 @@ class TruthCheck:
         self.visible_shares.setdefault(recording, []).append(pair.visible_share)
         if self._last[0] != recording:
             self._last = recording, ObjectTruth()  # frees memory before the next is read
-            truth, lines = _object_truth(self.contents, recording, self.whole)
+            info = self.metadata and self.metadata.of_this_version and self.metadata.recordings.get(recording)
+            quality = info.quality if info else QualityFile()  # other versions count otherwise
+            truth, lines = _object_truth(self.contents, recording, self.whole, quality)
             self._last = recording, truth
         return lines + [f"{name}: {problem}" for problem in truth_problems(pair, self._last[1])]
 
-    def share_lines(self, metadata: ReleaseInfo | None) -> Iterator[str]:
+    def share_lines(self) -> Iterator[str]:
         """Yield a message for each recording whose `visible_share` is not the mean over its pairs."""
-        for name, info in metadata.recordings.items() if metadata else ():
+        is_new = self.metadata is not None and self.metadata.of_this_version
+        for name, info in self.metadata.recordings.items() if self.metadata else ():
             shares = self.visible_shares.get(name, [])
-            if info.visible_share is None or len(shares) != info.pairs:
+            if (info.visible_share is None and not is_new) or len(shares) != info.pairs:
                 continue
             if info.visible_share != (found := round(fmean(shares), SHARE_DECIMALS)):
                 stated = f"its recordings.{printable(name)}.visible_share is {info.visible_share}"

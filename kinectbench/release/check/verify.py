@@ -36,6 +36,7 @@ from kinectbench.release.check.agreement_check import Stated, agreement_problems
 from kinectbench.release.check.missing_files import missing_files
 from kinectbench.release.check.object_check import object_problems, recording_of, surface_lines
 from kinectbench.release.check.pair_check import input_problems, pair_problems
+from kinectbench.release.check.promises import promise_problems
 from kinectbench.release.check.text_check import text_problems
 from kinectbench.release.check.truth_check import TruthCheck
 from kinectbench.release.check.view_check import StatedView, view_lines
@@ -91,17 +92,20 @@ def verify(path: Path, progress: Progress = no_progress, *, checksums_only: bool
         of_objects = _object_lines(contents, whole, metadata)
         lines += [line for problems in of_objects.values() for line in problems]
         stated = _stated(contents, metadata, targets)
-        objects = TruthCheck(contents, whole - of_objects.keys())
+        objects = TruthCheck(contents, whole - of_objects.keys(), metadata)
         for done, name in enumerate(sorted(pairs), start=len(sums) + 1):
             if metadata and name not in damaged:
                 lines += _pair_lines(contents, name, metadata, stated.get(name, _StatedPair()), objects)
             progress(done, total)
-        lines += [*objects.share_lines(metadata), *objects.key_lines()]
+        lines += [*objects.share_lines(), *objects.key_lines()]
+        lines += copy_problems(targets, sums, objects.inputs)
         if metadata is not None:
             for recording in sorted({name.split("/")[1] for name in pairs if name not in damaged}):
                 if not metadata.hides(recording) and not metadata.has_solid(recording):
                     lines += surface_lines(contents, recording)
-            lines += [] if lines else text_problems(contents, metadata, targets)
+            if not lines and metadata.of_this_version:
+                lines += text_problems(contents, metadata, targets)
+                lines += promise_problems(contents, metadata, targets, objects.keys)
     return lines
 
 
@@ -232,32 +236,30 @@ def _pair_lines(
         values = pair_values(contents.read(name), name)
         recording = name.split("/")[1]
         objects.keys.setdefault(recording, {})[name] = frozenset(values)
-        if metadata.has_solid(recording):
-            least = metadata.settings.pairs.min_containment
-            pair = checked_pair(Pair, values, name)
-            shares, info = stated.unknown_shares, metadata.recordings.get(recording)
-            sigma_m = None if info is None else info.quality.surface_sigma_m
-            of_truth = pair_problems(
-                pair, min_containment=least, unknown_shares=shares, surface_sigma_m=sigma_m, **rules
+        truth = checked_pair(Pair, values, name) if metadata.has_solid(recording) else None
+        pair, problems = truth or checked_pair(PairInput, values, name), list[str]()
+        seen_from = pair.partial_256.tobytes() + pair.T_world_camera.tobytes()
+        objects.inputs[name] = hashlib.blake2b(seen_from).hexdigest()
+        if truth is not None:
+            info = metadata.recordings.get(recording)
+            problems += pair_problems(
+                truth,
+                min_containment=metadata.settings.pairs.min_containment,
+                unknown_shares=stated.unknown_shares,
+                surface_sigma_m=None if info is None else info.quality.surface_sigma_m,
+                **rules,
             )
-            problems = [
-                *of_truth,
-                *_view_problems(pair, stated.shown.row),
-            ]
-            lines = [f"{name}: {problem}" for problem in problems]
-            if not _is_placed(pair):
-                return lines
+        else:
+            why = "is held back" if metadata.hides(recording) else "an open mesh does not have"
+            held_back = [key for key in values if key in TRUTH_KEYS]
+            problems += [f"holds {', '.join(held_back)}, which {why}"] if held_back else []
+            problems += input_problems(pair, **rules)
+        problems += _view_problems(pair, stated.shown.row)
+        lines = [f"{name}: {problem}" for problem in problems]
+        if _is_placed(pair):
             lines += view_lines(contents, name, pair, stated.shown, objects.whole)
-            return lines + objects.lines(recording, name, pair)
-        held_back = [key for key in values if key in TRUTH_KEYS]
-        why = "is held back" if metadata.hides(recording) else "an open mesh does not have"
-        lines = [f"{name}: holds {', '.join(held_back)}, which {why}"] if held_back else []
-        given = checked_pair(PairInput, values, name)
-        problems = [*input_problems(given, **rules), *_view_problems(given, stated.shown.row)]
-        lines += [f"{name}: {problem}" for problem in problems]
-        return lines + (
-            view_lines(contents, name, given, stated.shown, objects.whole) if _is_placed(given) else []
-        )
+            lines += [] if truth is None else objects.lines(recording, name, truth)
+        return lines
     except (PairError, ReleaseError) as error:
         return [str(error)]
 
@@ -309,7 +311,7 @@ def _small_file_problems(
     if not targets:
         return metadata, targets, lines
     has_images = metadata is not None and metadata.of_this_version
-    lines += [*sum_problems(targets, sums), *copy_problems(targets, sums)]
+    lines += sum_problems(targets, sums)
     lines += _file_problems(targets, sums, has_images)
     if metadata and BENCHMARK_JSON not in damaged:
         lines += recording_problems(targets, metadata)

@@ -21,8 +21,10 @@ from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, Pair, PairInpu
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.view_grids import VIEW_SCALE, corner_in_camera, view_cube
 from kinectbench.release.contents import VIEW_IMAGES, Contents
-from kinectbench.release.view_images import depth_mm, mask_pixels
+from kinectbench.release.view_images import depth_mm, mask_levels
 
+# A pixel of the object in a mask.
+ON = 255
 # Half a millimetre of rounding, and the 4 micrometres that float32 resolves at 65 m.
 ROUNDED_M = 0.000505
 # Cells that a corner may be off: matrices of held-back pairs are rounded to 1e-12.
@@ -79,7 +81,7 @@ def view_lines(
         return []
     try:
         depth = depth_mm(contents.read(of_depth), of_depth)
-        mask = mask_pixels(contents.read(of_mask), of_mask)
+        levels = mask_levels(contents.read(of_mask), of_mask)
     except ReleaseError as error:
         return [str(error)]
     row, lines = stated.row, list[str]()
@@ -87,6 +89,9 @@ def view_lines(
         lines.append(
             f"{of_depth}: {_size(depth)} pixels where {ViewsFile.FILE} has {row.width} x {row.height}"
         )
+    mask = levels > 0
+    if (levels[mask] != ON).any():
+        lines.append(f"{of_mask}: holds other values than 0 and {ON}")
     problems = view_problems(pair, depth, mask, has_too_far=stated.has_too_far)
     return lines + [f"{name}: {problem}" for problem in problems]
 

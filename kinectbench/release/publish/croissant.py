@@ -1,13 +1,16 @@
 """Make croissant.json: machine-readable metadata of a release (JSON-LD, Croissant 1.1 with RAI fields)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from pathlib import Path
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from kinectbench.core import sha256_file
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.targets import ALL_COLUMNS, COLUMNS, NUMBER_COLUMNS, TARGETS_CSV
 from kinectbench.core.voxels.pair_file import Pair
+from kinectbench.release.contents import CARD, CROISSANT, release_files
 from kinectbench.release.publish.attribution import authors, citation_line, license_url
 from kinectbench.release.publish.datacite import SUBJECTS, About, responsible_use
 
@@ -26,6 +29,8 @@ FILE_SETS: dict[str, tuple[str, str | list[str], str]] = {
     "objects": ("objects/*/*", "application/octet-stream", "floor, closed mesh and labelled volume"),
     "shown-objects": ("objects/*.glb", "model/gltf-binary", "each object for viewers, of fewer triangles"),
 }
+# Files that are written after croissant.json, which does not list them.
+LATER = (CROISSANT, CARD, BENCHMARK_JSON)
 # From the file name: pandas, with which readers load the table, would turn 007 into a number.
 VIEW_IN_FILE = r"pairs/[^/]+/([0-9]+)\.npz"
 RECORDING_IN_FILE = r"views/([^/]+)/views\.json"
@@ -36,18 +41,32 @@ def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS
 
     Args:
         about: the description of the release.
-        folder: the release's folder. croissant.json, README.md, benchmark.json and SHA256SUMS are written
-            later; all other files must be there.
+        folder: the release's folder, with all files but those in `LATER`, and SHA256SUMS.
         columns: columns of the release's targets.csv.
 
     Source: https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, …/croissant-rai-spec.html
     """
-    content = described(about)
-    content["distribution"] = [*_file_objects(folder), *_file_sets(folder)]
-    content["recordSet"] = [_targets(columns), _pairs()]
-    if next(folder.glob("views/*/views.json"), None) is not None:
-        content["recordSet"].append(_cameras())
-    return content
+    names = [path.relative_to(folder).as_posix() for path in release_files(folder)]
+    sums = {name: sha256_file(folder / name) for name in names if _is_described(name)}
+    return described(about) | described_files(dict.fromkeys(names, "") | sums, columns)
+
+
+def described_files(sums: Mapping[str, str], columns: Sequence[str]) -> dict[str, Any]:
+    """Return those keys of croissant.json that depend on the files of the release.
+
+    Args:
+        sums: {file: SHA-256}; only those of top-level files are used.
+        columns: columns of the release's targets.csv.
+    """
+    records = [_targets(columns), _pairs()]
+    if any(fnmatchcase(name, FILE_SETS[VIEW_LISTS][0]) for name in sums):
+        records.append(_cameras())
+    return {"distribution": [*_file_objects(sums), *_file_sets(sums)], "recordSet": records}
+
+
+def _is_described(name: str) -> bool:
+    """Return whether a release's file is a FileObject: at the top, with a suffix in `TYPES`."""
+    return "/" not in name and PurePosixPath(name).suffix in TYPES
 
 
 def described(about: About) -> dict[str, Any]:
@@ -73,23 +92,23 @@ def described(about: About) -> dict[str, Any]:
     return content | {f"rai:{key}": text for key, text in responsible_use(about).items()}
 
 
-def _file_objects(folder: Path) -> list[dict[str, object]]:
+def _file_objects(sums: Mapping[str, str]) -> list[dict[str, object]]:
     """Return Croissant's FileObject, with SHA-256, of each top-level file with a suffix in `TYPES`."""
     return [
         {
             "@type": "cr:FileObject",
-            "@id": path.name,
-            "name": path.name,
-            "contentUrl": path.name,
-            "encodingFormat": TYPES[path.suffix],
-            "sha256": sha256_file(path),
+            "@id": name,
+            "name": name,
+            "contentUrl": name,
+            "encodingFormat": TYPES[PurePosixPath(name).suffix],
+            "sha256": sums[name],
         }
-        for path in sorted(folder.iterdir())
-        if path.is_file() and path.suffix in TYPES
+        for name in sorted(sums)
+        if _is_described(name)
     ]
 
 
-def _file_sets(folder: Path) -> list[dict[str, object]]:
+def _file_sets(names: Iterable[str]) -> list[dict[str, object]]:
     """Return a Croissant FileSet for each pattern in `FILE_SETS` that any file of the release matches."""
     return [
         {
@@ -101,7 +120,7 @@ def _file_sets(folder: Path) -> list[dict[str, object]]:
             "includes": pattern,
         }
         for key, (pattern, encoding, text) in FILE_SETS.items()
-        if next(folder.glob(pattern), None) is not None
+        if any(fnmatchcase(name, pattern) for name in names)
     ]
 
 

@@ -100,13 +100,13 @@ def judged(
         quality = QualityFile.read(folder / "object")
         health = TrajectoryHealth.read_if_there(folder / "trajectory")
         head = CameraFile.read_if_there(folder / "sequence")
-        limits = tuple(_beyond(settings.publish.gate, quality, health, head))
+        limits = tuple(beyond_limits(settings.publish.gate, quality, health, head))
         if by_limits_alone:
             yield Judged(recording, limits=limits)
             continue
-        of_object = (*_of_object(quality), *_of_parts(folder / "object"))
+        seen = (*of_object(quality), *_of_parts(folder / "object"))
         of_reference = _of_references(current_reference(folder))
-        look = (*_of_poses(health), *of_object, *of_reference, *_of_frames(head))
+        look = (*_of_poses(health), *seen, *of_reference, *_of_frames(head))
         # A violated limit is not repeated as a reason for a review.
         look = tuple(line for line in look if not any(limit.startswith(line) for limit in limits))
         yield Judged(recording, limits=limits, look=look, incomplete=tuple(_incomplete(quality)))
@@ -123,7 +123,7 @@ def failure(folder: Path) -> str:
     return f"its build failed{f' at {failed.stage}' if failed.stage else ''}: {failed.error}"
 
 
-def _beyond(
+def beyond_limits(
     limits: GateSettings, quality: QualityFile, health: TrajectoryHealth | None, head: CameraFile | None
 ) -> Iterator[str]:
     """Yield a line for each limit of `publish.gate` that the object, trajectory or frames violate."""
@@ -160,7 +160,7 @@ def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
         yield f"{1 - health.tracked / health.frames:.0%} of the frames have no pose"
 
 
-def _of_object(quality: QualityFile) -> Iterator[str]:
+def of_object(quality: QualityFile) -> Iterator[str]:
     """Yield reasons to review the object: warnings, a low estimated IoU, movement, depth out of range."""
     cut = (line for line in quality.warnings if line.startswith(FLOOR_CUT))
     yield from (line.split(END_OF_WARNING, 1)[0] for line in (*quality.measurement_warnings, *cut))
