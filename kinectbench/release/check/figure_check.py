@@ -4,7 +4,8 @@ In early releases, without `benchmark_sha256_version` in benchmark.json, the wor
 so only frames and floors are checked.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 
 import numpy as np
@@ -22,6 +23,7 @@ from kinectbench.release.publish.gate import ALLOWED, REJECTED, WITHHELD
 from kinectbench.release.triage.rules import beyond_limits, of_object
 from kinectbench.settings.publishing import GateSettings
 
+GATE_KEY = re.compile(r".*publish\.gate\.(\w+)", re.DOTALL)
 # Limits of `publish.gate` on what quality.json states.
 OF_QUALITY = ("min_estimated_iou", "max_unknown_share", "max_doubts")
 # Settings that hold for all pairs.
@@ -109,16 +111,20 @@ def _reviewed(review: object, decision: str) -> bool:
 def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
     """Yield a message for each limit that is violated but not in `poor`, or is in `poor` but not violated."""
     low, least = info.quality.trusted_iou[1], limits.min_estimated_iou
-    broken = " ".join(beyond_limits(limits, info.quality, None, None))
+    stated, broken = _gate_keys(info.poor), _gate_keys(beyond_limits(limits, info.quality, None, None))
     # If the trajectory is not good, the limit applies to the interval's lower end, so either value may break
     # it. Warnings of the camera are not in a release.
-    may = f"{broken} max_doubts {'min_estimated_iou' if low is not None and low < least else ''}"
+    may = broken | {"max_doubts"} | ({"min_estimated_iou"} if low is not None and low < least else set())
     for key in OF_QUALITY:
-        is_stated = any(f"publish.gate.{key}" in line for line in info.poor)
-        if is_stated and key not in may:
+        if key in stated - may:
             yield f"'poor' names publish.gate.{key}, which its quality keeps"
-        elif key in broken and not is_stated:
+        elif key in broken - stated:
             yield f"'poor' does not name publish.gate.{key}, which its quality does not keep"
+
+
+def _gate_keys(lines: Iterable[str]) -> set[str]:
+    """Return the limit that each line names last."""
+    return {found[1] for found in map(GATE_KEY.match, lines) if found}
 
 
 def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: ReleaseInfo) -> Iterator[str]:
