@@ -44,7 +44,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 23,
     "track": 16,
     "fuse": 7,
-    "segment": 61,
+    "segment": 62,
     "sample-views": 8,
     "pairs": 4,
     "suggest": 8,

@@ -22,7 +22,7 @@ from kinectbench.stages.segment.find.hints import floor_hint
 from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
 from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
-from kinectbench.stages.segment.solid.grids import floor_layers, object_grid
+from kinectbench.stages.segment.solid.grids import blurred_height_m, floor_layers, object_grid
 from kinectbench.stages.segment.solid.solid import SolidShape, make_solid
 from kinectbench.stages.track.frame_maps import STORED_PER_M, MapCache, stored_depth
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph
@@ -107,7 +107,8 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
     found = find_floor_and_object(scene, trajectory, None, CUTS, hint)
     voxel_size_m = max(max(found.box.size_m) / VOXELS_ALONG, FINEST_M)
     grid = object_grid(found.box, found.floor, voxel_size_m)
-    rules = Rules(floor_layers(found.floor, CUTS, voxel_size_m))
+    blurred_m = blurred_height_m(maps.sequence.camera, trajectory, grid)
+    rules = Rules(floor_layers(found.floor, CUTS, voxel_size_m), blurred_m=blurred_m)
     seen = observe(sequence, trajectory, range(len(rows)), grid, FUSION)
     evidence = classify_voxels(seen, found.neighbours(grid), rules, roughly=True)
     solid = make_solid(seen, evidence, rules)

@@ -26,8 +26,9 @@ from kinectbench.stages.segment.judge.estimate import FloorCut, pose_error_of, t
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers, is_obstructed
 from kinectbench.stages.segment.judge.quality import measure_quality, solid_box, surface_sigma_m
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.solid.evidence import BLURRED_PIXELS, Rules, classify_voxels
+from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
 from kinectbench.stages.segment.solid.grids import (
+    blurred_height_m,
     choose_resolution,
     enlarged_observation,
     floor_layers,
@@ -149,11 +150,9 @@ def _find(
         chosen = replace(chosen, warnings=(*lines, *chosen.warnings))
     layers = floor_layers(chosen.support, segmentation, voxel_m)
     distance_m, stands = median_distance_m(trajectory, middle_world(grid)), chosen.support is not None
-    widths_m = (
-        ray_width_m(camera, trajectory.median_pose_sigma_m, distance_m),
-        BLURRED_PIXELS * distance_m / camera.fx,
-    )
-    rules = Rules(layers, *widths_m, segmentation.limits(), given.underside, stands=stands)
+    width_m = ray_width_m(camera, trajectory.median_pose_sigma_m, distance_m)
+    blurred_m = blurred_height_m(camera, trajectory, grid)
+    rules = Rules(layers, width_m, blurred_m, segmentation.limits(), given.underside, stands=stands)
     return _Found(chosen, grid, chosen.neighbours(grid), chosen.beyond_box(grid), max_depth_m, scale, rules)
 
 

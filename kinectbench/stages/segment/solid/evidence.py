@@ -36,8 +36,8 @@ NARROWER = 0.5
 # The sensor's blur may close a gap between floor and object that is less than this many pixels high. A phone
 # closes one of 40 mm (7.6 pixels), not one of 60 mm (11 pixels).
 BLURRED_PIXELS = 8
-# The surface that closes such a gap recedes below the object by more than this many voxels. Of a phone's
-# depth it recedes by 18 to 56 mm, and the sides of a box that stands flat by 7 mm at most.
+# The surface that closes such a gap recedes below the object by more than this many voxels. By a simulated
+# phone's depth it recedes by 18 to 56 mm, and the sides of one box that stands flat by 7 mm at most.
 RECEDING_VOXELS = 2
 # A gap is measured narrower than it is by this many voxels: by the sheet (1.2) and rounding (.5) on both
 # sides, and by noise at edges. A gap of 173 mm between two doors was measured as 148 mm (voxels of 5 mm).
@@ -109,6 +109,7 @@ class VoxelEvidence:
         observed: bool, a surface is near.
         free: bool, seen to be empty.
         near_surface: bool, behind a surface by at most `SHELL_M`, or 1.5 voxels if more: part of the object.
+        blurred: bool, surface there may be a gap below the object that the sensor blurred. It ends no line.
         excluded: bool, cannot belong to the object.
         unseen: bool, above the floor and none of `free`, `near_surface` and `excluded`.
         sight: uint8, how a camera could see the voxel past the measured surfaces
@@ -126,6 +127,7 @@ class VoxelEvidence:
     observed: Bools
     free: Bools
     near_surface: Bools
+    blurred: Bools
     excluded: Bools
     unseen: Bools
     sight: NDArray[np.uint8]
@@ -170,8 +172,7 @@ def classify_voxels(
     count, closer = (COARSE, None) if roughly else (FINE, rules.limits)
     lines = narrow(rules.limits, voxel_m), count, closer
     sight = swept_from_outside(surface, free, _heights_m(observation.grid, rules), voxel_m, *lines)
-    too_deep = _beyond_band(behind, observed & free, observation.tsdf, voxel_m)
-    near_surface = behind & ~(excluded | blurred | too_deep)
+    near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
     near_surface[:, :, : layers.first] = False
     unseen = ~(free | near_surface | excluded)
     unseen[:, :, : layers.below] = False
@@ -192,6 +193,7 @@ def classify_voxels(
         observed=observed,
         free=free,
         near_surface=near_surface,
+        blurred=blurred,
         excluded=excluded,
         unseen=unseen,
         sight=sight.any_way,
@@ -229,18 +231,27 @@ def _blurred_gap(surface: Bools, free: Bools, rules: Rules, voxel_m: float) -> B
     """Return where surface near the floor may be a gap below the object that the sensor blurred.
 
     Such surface leads from an edge of the object inwards to the floor, below unseen space. The sides of an
-    object that stands flat lead straight down.
+    object that stands flat lead straight down; sides that lean above that height, too, lean themselves.
     """
     blurred = np.zeros_like(surface)
-    height = rules.layers.below + round(rules.blurred_m / voxel_m)
+    zone = round(rules.blurred_m / voxel_m)
+    top = min(rules.layers.below + zone, surface.shape[2] - 1)
     if rules.stands and rules.blurred_m > rules.limits.line_width_m:  # lines do not enter lower gaps
-        low, above = slice(0, height), slice(1, height + 1)
-        beside = dilated(surface[:, :, above], (RECEDING_VOXELS, RECEDING_VOXELS, 0))
-        inside = ~free[:, :, above] & ~beside
-        below = np.logical_or.accumulate(inside[:, :, ::-1], axis=2)[:, :, ::-1]
-        receding = dilated(surface[:, :, low] & below, (RECEDING_VOXELS,) * 3)
-        blurred[:, :, low] = receding | below
+        below = _below_inside(surface[:, :, : top + 1], free[:, :, : top + 1])
+        above = slice(top, top + zone + 1)
+        leaning = surface[:, :, top] & _below_inside(surface[:, :, above], free[:, :, above]).any(axis=2)
+        reach = zone + 2 * RECEDING_VOXELS
+        below &= ~dilated(leaning, (reach, reach))[:, :, None]
+        receding = dilated(surface[:, :, : top + 1] & below, (RECEDING_VOXELS,) * 3)
+        blurred[:, :, :top] = (receding | below)[:, :, :top]
     return blurred
+
+
+def _below_inside(surface: Bools, free: Bools) -> Bools:
+    """Return which voxels have, above them, one inside the object: over two voxels beside its surface."""
+    inside = ~free & ~dilated(surface, (RECEDING_VOXELS, RECEDING_VOXELS, 0))
+    at_or_below = np.logical_or.accumulate(inside[:, :, ::-1], axis=2)[:, :, ::-1]
+    return np.pad(at_or_below[:, :, 1:], ((0, 0), (0, 0), (0, 1)))
 
 
 def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bools:

@@ -14,7 +14,7 @@ from kinectbench.core.voxels.observation import RAY_WIDTHS_VOXELS, Observation, 
 from kinectbench.settings.models import FloorCuts, FusionSettings
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.scale import enlarged_transform
-from kinectbench.stages.segment.solid.evidence import FloorLayers
+from kinectbench.stages.segment.solid.evidence import BLURRED_PIXELS, FloorLayers
 
 # Margin around the object; less where this many voxels are less.
 MARGIN_M, MARGIN_VOXELS = 0.05, 10
@@ -90,6 +90,11 @@ def median_distance_m(trajectory: Trajectory, point_world: Float64) -> float:
 def middle_world(grid: Grid) -> Float64:
     """Return the middle of a grid, (3,), world frame, metres."""
     return transform_points(grid.T_world_grid, grid.size_m / 2)
+
+
+def blurred_height_m(camera: Camera, trajectory: Trajectory, grid: Grid) -> float:
+    """Return the height up to which the sensor may close a gap between floor and object, metres."""
+    return BLURRED_PIXELS * median_distance_m(trajectory, middle_world(grid)) / camera.fx
 
 
 def surround_grid(grid: Grid, floor: Floor) -> Grid:

@@ -153,8 +153,8 @@ def _body(observation: Observation, evidence: VoxelEvidence, guess: Float32, rul
 def _voxel_labels(evidence: VoxelEvidence, solid: Bools, voxel_m: float, below: int) -> NDArray[np.uint8]:
     """Return a label (`Label`) for each voxel by its evidence, uint8; `below` layers lie below the floor.
 
-    If smoothing removed a voxel behind a measured surface from the solid, it is UNKNOWN, because no frame saw
-    it empty.
+    A voxel behind a measured surface is UNKNOWN if smoothing removed it from the solid, because no frame saw
+    it empty; and if the surface may be a gap that the sensor blurred.
     """
     near = np.abs(evidence.signed_m) <= MEASURED_VOXELS * voxel_m
     measured = evidence.observed & near & ~evidence.free
@@ -162,7 +162,8 @@ def _voxel_labels(evidence: VoxelEvidence, solid: Bools, voxel_m: float, below: 
     labels[~solid & evidence.free] = Label.FREE
     labels[~solid & evidence.excluded] = Label.OTHER
     labels[solid & evidence.closed] = Label.INTERIOR
-    labels[solid & (evidence.near_surface | measured) & ~evidence.unknown] = Label.SURFACE
+    sure = (evidence.near_surface | measured) & ~(evidence.unknown | evidence.blurred)
+    labels[solid & sure] = Label.SURFACE
     labels[:, :, :below] = Label.OTHER
     return labels
 
