@@ -74,6 +74,23 @@ def test_3rscan_and_rio10(tmp_path: Path, kind: str) -> None:
     assert recording.frame(2).color is not None
 
 
+@pytest.mark.parametrize("measured", ["depth.png", "depth.pgm"])
+def test_measured_depth_comes_before_rendered_depth(tmp_path: Path, measured: str) -> None:
+    folder = tmp_path / "r"
+    for kind in (measured, "rendered.depth.png"):
+        frames(folder, f"frame-{{:06d}}.{kind}", "frame-{:06d}.color.jpg", count=40)
+    (folder / "camera-intrinsics.txt").write_text("\n".join(" ".join(map(str, row)) for row in K))
+    recording = opened(folder)
+    names = [frame.depth.name for frame in recording.places]
+    assert names == [f"frame-{i:06d}.{measured}" for i in range(40)]
+    assert not any("not read" in line for line in recording.warnings)
+    for i in range(3, 40):
+        (folder / f"frame-{i:06d}.{measured}").unlink()
+    recording = opened(folder)
+    assert len(recording) == 3
+    assert f"37 frames have depth of another kind than {measured}, such as" in recording.warnings[0]
+
+
 def replica(scene: Path) -> Path:
     frames(scene, "results/depth{:06d}.png", "results/frame{:06d}.jpg", scale=6553.5)
     np.savetxt(scene / "traj.txt", [pose(i).ravel() for i in range(6)])
