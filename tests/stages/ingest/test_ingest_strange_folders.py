@@ -124,6 +124,34 @@ def test_colour_that_is_named_by_its_number_alone(tmp_path: Path) -> None:
     assert names == [(f"chair_1_1_{i}_depth.png", f"chair_1_1_{i}.png") for i in range(12)]
 
 
+MASK = np.full((HEIGHT, WIDTH), 255, np.uint8)
+
+
+@pytest.mark.parametrize("color", ["{:04d}.jpg", "frame_{:04d}.png"])
+@pytest.mark.parametrize("other", [png(MASK), png(depth_image(0)), png(depth_image(0))[:40]])
+def test_a_mask_named_by_its_number_is_no_colour(tmp_path: Path, color: str, other: bytes) -> None:
+    folder = frames(tmp_path / "r", "depth_{:04d}.png", color)
+    for i in range(6):
+        (folder / f"{i:04d}.png").write_bytes(other)
+    names = [frame.color and frame.color.name for frame in opened(folder, CAMERA).places]
+    assert names == [color.format(i) for i in range(6)]
+    for i in range(6):
+        (folder / color.format(i)).unlink()
+    assert "put depth alone into a folder depth/ and colour into color/" in refused(folder)
+
+
+def test_a_grey_jpeg_is_no_colour(tmp_path: Path) -> None:
+    folder = frames(tmp_path / "r", "depth_{:04d}.png", "{:04d}.png")
+    for i in range(6):
+        (folder / f"{i:04d}.jpg").write_bytes(jpeg(MASK))
+    names = [frame.color and frame.color.name for frame in opened(folder, CAMERA).places]
+    assert names == [f"{i:04d}.png" for i in range(6)]
+    for i in range(6):
+        (folder / f"{i:04d}.jpg").write_bytes(jpeg(color_image(i)))
+    frame = opened(folder, CAMERA).places[3]
+    assert frame.color and frame.color.name == "0003.jpg"
+
+
 @pytest.mark.parametrize("further", [True, False])
 @pytest.mark.parametrize("by_file", [True, False])
 def test_one_npz_of_all_frames_has_a_line_that_writes_a_recording(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinectbench.core import listed_paths, printable, read_head
+from kinectbench.stages.ingest.color_pictures import is_in_color
 from kinectbench.stages.ingest.depth_files import SUFFIXES as DEPTH_SUFFIXES
 from kinectbench.stages.ingest.depth_files import depth_size_px
 from kinectbench.stages.ingest.image_names import counting_key
@@ -42,8 +43,8 @@ FRAME_WORD, RESULTS = re.compile(r"(?:frame|image)?[-_. ]?(.+)", re.IGNORECASE |
 TO_OTHER = re.compile(r"(?:aligned[-_. ])?(depth|colou?r)[-_. ]to[-_. ](?:depth|colou?r)", re.IGNORECASE)
 # Arrays with a shorter side are no images of a room (our own bound); larger files are not opened for it.
 LEAST_SIDE_PX, MOST_BYTES = 32, 4096
-# Bytes of a PNG that contain its number of bits.
-HEAD_BYTES = 26
+# Bytes of a PNG that contain its number of bits, and of a picture that usually contain its channels.
+HEAD_BYTES, COLOR_HEAD_BYTES = 26, 4096
 
 
 @dataclass(frozen=True)
@@ -175,14 +176,25 @@ def _is_depth_png(name: str) -> bool:
 
 
 def _color_beside(folder: Path) -> NamedImages:
-    """List the colour images beside depth: those with a word for colour, or else those named as depth is."""
+    """List the colour images beside depth: those with a word for colour, or else those named as depth is.
+
+    The latter may be masks, so only images in colour count: of each name a JPEG, or else the first.
+    """
     named = beside_each_other(folder, COLOR_WORD)
     if named.files:
         return named
     frames, every = set(beside_each_other(folder, DEPTH_WORD).stems), in_folder(folder, COLOR_SUFFIXES)
-    stems = [FRAME_WORD.sub(r"\1", stem) for stem in every.stems]
-    kept = [at for at, stem in enumerate(stems) if stem in frames]
-    return NamedImages(tuple(every.files[at] for at in kept), tuple(stems[at] for at in kept))
+    chosen = dict[str, Path]()
+    for file in every.files:
+        stem = FRAME_WORD.sub(r"\1", file.stem)
+        is_first = stem not in chosen or (_is_jpeg(file) and not _is_jpeg(chosen[stem]))
+        if stem in frames and is_first and file.is_file() and is_in_color(read_head(file, COLOR_HEAD_BYTES)):
+            chosen[stem] = file
+    return NamedImages(tuple(chosen.values()), tuple(chosen))
+
+
+def _is_jpeg(file: Path) -> bool:
+    return file.suffix.lower() in {".jpg", ".jpeg"}
 
 
 def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
