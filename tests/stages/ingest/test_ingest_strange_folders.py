@@ -190,6 +190,26 @@ def test_an_npz_of_no_or_several_stacks_is_named_as_such(tmp_path: Path) -> None
         )
 
 
+def test_an_npz_of_arrays_of_one_shape_writes_none_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images, poses = np.zeros((6, 1, HEIGHT, WIDTH, 3), np.uint8), np.tile(np.eye(4), (6, 1, 1))
+    arrays = {"depth": np.stack([depth_image(i) for i in range(6)]), "rgb": images, "c2w": poses, "K": K}
+    more = {"normals": images, "imu": poses, "R": np.tile(np.eye(3), (6, 1, 1))}
+    for name, held in (("alone", arrays), ("several", {**arrays, **more})):
+        folder = tmp_path / name
+        folder.mkdir()
+        np.savez_compressed(folder / "scan.npz", allow_pickle=False, **held)
+        said = refused(folder)
+        (line,) = re.findall(r"such as by `([^`]*)`", said)
+        monkeypatch.chdir(folder)
+        exec(line, {})
+        written = {"color", "poses.txt", "intrinsics.txt"} if name == "alone" else set()
+        assert {file.name for file in folder.iterdir()} == {"scan.npz", "depth", *written}
+        which = "; write the right one of rgb, normals to color/, of c2w, imu to poses.txt, of K, R to intri"
+        assert (which in said) == ("intrinsics.json beside" in said) == (name == "several")
+
+
 def test_the_line_for_hdf5_reads_an_array_of_any_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
