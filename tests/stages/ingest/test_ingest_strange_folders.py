@@ -210,6 +210,18 @@ def test_an_npz_of_arrays_of_one_shape_writes_none_of_them(
         assert (which in said) == ("intrinsics.json beside" in said) == (name == "several")
 
 
+@pytest.mark.parametrize("long", ["depth", "poses"])
+def test_names_of_arrays_do_not_make_a_message_long(tmp_path: Path, long: str) -> None:
+    arrays = {"depth": np.zeros((6, HEIGHT, WIDTH), np.uint16), "poses": np.tile(np.eye(4), (6, 1, 1))}
+    arrays[long + "x" * 20_000] = arrays.pop(long)
+    np.savez_compressed(tmp_path / "scan.npz", allow_pickle=False, **arrays)
+    assert len(refused(tmp_path)) < 2000 and len(refused(tmp_path / "scan.npz")) < 2000
+    many = {f"poses{i}": np.tile(np.eye(4), (6, 1, 1)) for i in range(2000)}
+    depth = np.zeros((6, HEIGHT, WIDTH), np.uint16)
+    np.savez_compressed(tmp_path / "scan.npz", allow_pickle=False, depth=depth, **many)
+    assert len(refused(tmp_path / "scan.npz")) < 2000
+
+
 def test_the_line_for_hdf5_reads_an_array_of_any_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

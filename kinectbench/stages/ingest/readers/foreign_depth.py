@@ -59,6 +59,8 @@ WRITTEN_BY = {
     "poses.txt": "(lambda T: numpy.savetxt('poses.txt', T.reshape(len(T), -1)))(ARRAY)",
     "intrinsics.txt": "numpy.savetxt('intrinsics.txt', ARRAY.reshape(-1, 3)[:3])",
 }
+# Characters of the longest name of an array that a message quotes (chosen by hand).
+LONGEST_KEY = 60
 # Kinds that hold depth or other things.
 POSSIBLY = frozenset({".jp2", ".mat", ".h5", ".hdf5", ".csv", ".npz"})
 # Texts that may hold an image, and bytes of the longest line that is read.
@@ -159,7 +161,7 @@ def stacked_in(file: Path, color_px: Sequence[tuple[int, int]] = ()) -> str | No
 
     The line also writes colour, poses and intrinsics that an .npz holds, each if exactly one of its arrays has
     the shape; else the message names those that do. The result is None if no array can be the depth of all
-    frames, if several may be, or if a name holds a backtick.
+    frames, if several may be, or if a name is too long or holds a backtick.
 
     Args:
         file: the file.
@@ -171,7 +173,7 @@ def stacked_in(file: Path, color_px: Sequence[tuple[int, int]] = ()) -> str | No
     }
     stacks = {key: stack for key, shape in shapes.items() if (stack := _frames_of(shape, known)) is not None}
     depth = [key for key in stacks if is_named_depth(key)] or [*stacks]
-    if len(depth) != 1 or "`" in f"{file.name}{''.join(shapes)}":
+    if len(depth) != 1 or "`" in f"{file.name}{''.join(shapes)}" or max(map(len, shapes)) > LONGEST_KEY:
         return None
     (key,), (count, last) = depth, stacks[depth[0]]
     loaded = f"numpy.load({file.name!r})"
