@@ -309,10 +309,14 @@ def test_intrinsics_of_each_frame_are_printed(tmp_path: Path, name: str, text: s
         open_recording(folder)
 
 
-@pytest.mark.parametrize("form", ["0{0}_{1:04d}", "{1}-0{0}"])
-def test_two_cameras_by_bare_numbers_are_named(tmp_path: Path, form: str) -> None:
-    names = [form.format(camera, i) for camera in (1, 2) for i in range(1, 11)]
-    (line,) = opened(write_folder(tmp_path / "r", names)).warnings
-    assert "the names of depth are 2 series" in line
-    # Parts of a recording end with a shorter one.
-    assert several_series([*names[:-3]]) == []
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"{row}_{column}" for row in range(3) for column in range(36)],
+        [f"{minute:02d}_{second:02d}" for minute in range(2) for second in range(60)],
+        [f"{elevation}-{angle:03d}" for elevation in range(5) for angle in range(72)],
+        [f"{i // 100}_{i % 100}" for i in range(300)],
+    ],
+)
+def test_two_bare_numbers_are_no_cameras(names: list[str]) -> None:
+    assert several_series(names) == []
