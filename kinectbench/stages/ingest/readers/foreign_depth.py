@@ -159,8 +159,8 @@ def stacked(listed: Listed) -> str | None:
 def stacked_in(file: Path, color_px: Sequence[tuple[int, int]] = ()) -> str | None:
     """Return a message on an .npy or .npz file with the depth of all frames, with a line that divides it.
 
-    The line also writes colour, poses and intrinsics that an .npz holds, each if exactly one of its arrays has
-    the shape; else the message names those that do. The result is None if no array can be the depth of all
+    The line also writes colour, poses and intrinsics that an .npz holds, each if exactly one array has the
+    shape; else the message names those that do. The result is None if no array can be the depth of all
     frames, if several may be, or if a name is too long or holds a backtick.
 
     Args:
@@ -207,7 +207,7 @@ def _frames_of(shape: Sequence[int], known: Collection[tuple[int, ...]]) -> tupl
 
 
 def _file_of(shape: Sequence[int], count: int) -> str:
-    """Return the key of `WRITTEN_BY` of an array of this shape beside `count` depth images; "" if none fits."""
+    """Return the key of `WRITTEN_BY` that an array of this shape fits, of `count` frames; "" if none."""
     if len(shape) == 4 and shape[0] == count and shape[3] == 3:
         return "color/"
     if shape in ((count, 4, 4), (count, 3, 4)):
