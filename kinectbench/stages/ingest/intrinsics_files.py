@@ -72,6 +72,8 @@ MVSNET = re.compile(r"^intrinsic\s+((?:[-+.\deE]{1,30}\s+){9})", re.MULTILINE)
 MOST_NAMED, LOOKED_AT = 4, 20_000
 # Side of the largest image, pixels, of a camera whose file states none: the limit of JPEG.
 MOST_SIDE_PX = 65_535
+# Cameras with a shorter focal length in pixels are not shown: a 2-D transform has 1 there (chosen by hand).
+LEAST_SHOWN_PX = 10.0
 
 
 def find_intrinsics(
@@ -243,7 +245,8 @@ def _cameras_inside(file: Path) -> list[tuple[str, str]]:
             said = intrinsics_of_keys(value, file) if isinstance(value, dict) else said
             camera = said.camera((said.width or MOST_SIDE_PX, said.height or MOST_SIDE_PX), file)
             numbers = ", ".join(f"{key}: {getattr(camera, key):.7g}" for key in NEEDED)
-            cameras.append((printable(name), f"camera: {{{numbers}}}"))
+            if min(camera.fx, camera.fy) > LEAST_SHOWN_PX:
+                cameras.append((printable(name), f"camera: {{{numbers}}}"))
     return cameras[:MOST_NAMED]
 
 

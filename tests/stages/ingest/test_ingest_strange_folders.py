@@ -295,6 +295,8 @@ SHOWN = f"`camera: {{fx: {FX:g}, fy: {FY:g}, cx: {CX:g}, cy: {CY:g}}}`"
         ("cameras/{:04d}.json", json.dumps({"K": K.tolist()}), "cameras/0000.json, which holds "),
         ("cams/{:08d}_cam.txt", CAM, "cams/00000000_cam.txt holds the camera 00000000_cam: .* as "),
         ("labels2/{:04d}.txt", "1 2 3 4\n", "the files of each frame, such as labels2/0000.txt$"),
+        ("planar/{:04d}.txt", "1 0 .5\n0 1 .2\n0 0 1\n", "the files of each frame, such as planar/0000.txt$"),
+        ("planar/{:04d}.json", '{"K": [[1, 0, 0.5], [0, 1, 0.2], [0, 0, 1]]}', "such as planar/0000.json$"),
         ("places/{:04d}.txt", IDENTITY, "the files of each frame, such as places/0000.txt$"),
     ],
 )
