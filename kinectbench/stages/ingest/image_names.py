@@ -118,8 +118,8 @@ def times_of_names(stems: Sequence[str]) -> list[int] | None:
 def several_series(stems: Sequence[str]) -> list[str]:
     """Return the first name of each series if names are of several, as cam0_0001 and cam1_0001; else [].
 
-    Series differ in one word, in one number behind a word for devices, or in one serial number. Other numbers,
-    as in 01_0001 and 02_0001, may be minutes, parts or rows, in which the last number restarts. Each other
+    Series differ in one word, in one number behind a word for devices, or in one serial number. Other numbers
+    may be minutes, parts or rows, in which the last number restarts, as in 01_0001 and 02_0001. Each other
     series has at least half of its images in common with the first, by the rest of the name. Names that are
     times are one series.
 
