@@ -32,7 +32,14 @@ from kinectbench.stages.ingest.intrinsics_words import (
 )
 from kinectbench.stages.ingest.intrinsics_yaml import intrinsics_in_yaml
 from kinectbench.stages.ingest.json_values import read_json_object
-from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, is_like_poses, visible
+from kinectbench.stages.ingest.known_names import (
+    REPLICA_FOLDER,
+    first_named,
+    in_any_case,
+    in_order,
+    is_like_poses,
+    visible,
+)
 
 JSON_FILES = (
     "intrinsics.json",
@@ -172,7 +179,7 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
 
 def camera_file(path: Path) -> Path | None:
     """Return the file of intrinsics with a sure name, in a folder or beside NICE-SLAM's scene; or None."""
-    of_scene = (path / "results").is_dir()
+    of_scene = (path / REPLICA_FOLDER).is_dir()
     above = first_named(path.parent, (NICE_SLAM,)) if of_scene else None
     return first_named(path, (*JSON_FILES, *MATRIX_FILES)) or above
 

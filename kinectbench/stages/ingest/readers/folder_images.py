@@ -12,7 +12,7 @@ from kinectbench.stages.ingest.depth_files import SUFFIXES as DEPTH_SUFFIXES
 from kinectbench.stages.ingest.depth_files import depth_size_px
 from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import DamagedImageError, is_depth_png
-from kinectbench.stages.ingest.known_names import in_any_case, in_order
+from kinectbench.stages.ingest.known_names import REPLICA_FOLDER, in_any_case, in_order
 from kinectbench.stages.ingest.recording import read_image_file
 
 COLOR_FOLDERS = ("color", "rgb", "image", "JPEGImages", "images")
@@ -36,9 +36,9 @@ VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 COLOR_WORD = re.compile(r"(.*?)[-_. ]?(?:colou?r|rgb)(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 LIKE_DEPTH = re.compile(r"depth|distance|disparity", re.IGNORECASE)
-# Words before the number of colour without a word of its own: Replica, as NICE-SLAM renders it, has
-# depth000000.png beside frame000000.jpg in results/; the RGB-D Object Dataset names colour by its number.
-FRAME_WORD, RESULTS = re.compile(r"(?:frame|image)?[-_. ]?(.+)", re.IGNORECASE | re.DOTALL), "results"
+# Words before the number of colour without a word of its own: Replica has depth000000.png beside
+# frame000000.jpg; the RGB-D Object Dataset names colour by its number.
+FRAME_WORD = re.compile(r"(?:frame|image)?[-_. ]?(.+)", re.IGNORECASE | re.DOTALL)
 # What librealsense's tools and DexYCB add to the name of an image that lies on the other camera's pixels.
 TO_OTHER = re.compile(r"(?:aligned[-_. ])?(depth|colou?r)[-_. ]to[-_. ](?:depth|colou?r)", re.IGNORECASE)
 # Arrays with a shorter side are no images of a room (our own bound); larger files are not opened for it.
@@ -164,7 +164,7 @@ def unread_color(path: Path) -> tuple[str, ...]:
 
 def folder_of_both(path: Path) -> Path | None:
     """Return the folder, `path` or its results/, with 16-bit depth beside colour; None if there is none."""
-    for folder in (path, path / RESULTS):
+    for folder in (path, path / REPLICA_FOLDER):
         named = listed_paths(folder, wanted=_is_depth_png) if folder.is_dir() else ()
         if any(map(is_16_bit, named)):
             return folder if _color_beside(folder).files else None
