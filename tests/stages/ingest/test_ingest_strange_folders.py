@@ -262,13 +262,13 @@ def test_depth_of_two_cameras_in_one_folder_is_told_apart(tmp_path: Path) -> Non
         frames(tmp_path / "r", f"depth/cam{camera}/{{:04d}}.png", f"color/cam{camera}/{{:04d}}.jpg")
     said = refused(tmp_path / "r")
     assert "depth/cam0/ holds 16-bit PNG images" in said
-    assert "known: depth/cam1 too: give each camera a folder of its own: there put depth" in said
+    assert "known (also depth/cam1). Give each camera its own folder, and there put depth" in said
 
 
 def test_several_recordings_in_a_folder_are_all_named(tmp_path: Path) -> None:
     for camera in (1, 2):
         write_folder(tmp_path / f"r/cam{camera}")
-    assert "holds several recordings, cam1, cam2: each is" in refused(tmp_path / "r")
+    assert "holds several recordings (cam1, cam2); give the path of one" in refused(tmp_path / "r")
     (tmp_path / "r/cam2").rename(tmp_path / "away")
     assert f"Did you mean {tmp_path / 'r/cam1'}?" in refused(tmp_path / "r")
 

@@ -79,8 +79,8 @@ def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
         place = folder.relative_to(path).as_posix() if folder != path else path.name
         where = f"{printable(place)}/ holds 16-bit PNG images that look like depth ({printable(first.name)})"
         others = names_of(printable(each.relative_to(path).as_posix()) for each in sorted(deep)[1:])
-        apart = f"{others} too: give each camera a folder of its own: there " if others else ""
-        return f"{path}: {where}, but in no layout that is known: {apart}{MOVE}"
+        apart = f" (also {others}). Give each camera its own folder, and there " if others else ": "
+        return f"{path}: {where}, but in no layout that is known{apart}{MOVE}"
     return (
         unread_files(listed)
         or stacked(listed)
