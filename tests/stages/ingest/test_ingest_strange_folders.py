@@ -194,7 +194,8 @@ def test_an_npz_of_arrays_of_one_shape_writes_none_of_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     images, poses = np.zeros((6, 1, HEIGHT, WIDTH, 3), np.uint8), np.tile(np.eye(4), (6, 1, 1))
-    arrays = {"depth": np.stack([depth_image(i) for i in range(6)]), "rgb": images, "c2w": poses, "K": K}
+    depth = np.stack([depth_image(i) for i in range(6)])
+    arrays: dict[str, np.ndarray] = {"depth": depth, "rgb": images, "c2w": poses, "K": K}
     more = {"normals": images, "imu": poses, "R": np.tile(np.eye(3), (6, 1, 1))}
     for name, held in (("alone", arrays), ("several", {**arrays, **more})):
         folder = tmp_path / name
@@ -212,13 +213,13 @@ def test_an_npz_of_arrays_of_one_shape_writes_none_of_them(
 
 @pytest.mark.parametrize("long", ["depth", "poses"])
 def test_names_of_arrays_do_not_make_a_message_long(tmp_path: Path, long: str) -> None:
-    arrays = {"depth": np.zeros((6, HEIGHT, WIDTH), np.uint16), "poses": np.tile(np.eye(4), (6, 1, 1))}
+    depth, poses = np.zeros((6, HEIGHT, WIDTH), np.uint16), np.tile(np.eye(4), (6, 1, 1))
+    arrays: dict[str, np.ndarray] = {"depth": depth, "poses": poses}
     arrays[long + "x" * 20_000] = arrays.pop(long)
     np.savez_compressed(tmp_path / "scan.npz", allow_pickle=False, **arrays)
     assert len(refused(tmp_path)) < 2000 and len(refused(tmp_path / "scan.npz")) < 2000
-    many = {f"poses{i}": np.tile(np.eye(4), (6, 1, 1)) for i in range(2000)}
-    depth = np.zeros((6, HEIGHT, WIDTH), np.uint16)
-    np.savez_compressed(tmp_path / "scan.npz", allow_pickle=False, depth=depth, **many)
+    many: dict[str, np.ndarray] = {"depth": depth, **{f"poses{i}": poses for i in range(2000)}}
+    np.savez_compressed(tmp_path / "scan.npz", allow_pickle=False, **many)
     assert len(refused(tmp_path / "scan.npz")) < 2000
 
 

@@ -30,7 +30,8 @@ OTHER_DEPTH = (
     "depth_registered",
     "depth_to_color",
 )
-COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".ppm"})
+JPEG_SUFFIXES = frozenset({".jpg", ".jpeg"})
+COLOR_SUFFIXES = JPEG_SUFFIXES | {".png", ".bmp", ".ppm"}
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 # YCB-Video has 000001-depth.png beside 000001-color.png; other data sets have the word first, or in between.
 DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
@@ -178,7 +179,7 @@ def _is_depth_png(name: str) -> bool:
 def _color_beside(folder: Path) -> NamedImages:
     """List the colour images beside depth: those with a word for colour, or else those named as depth is.
 
-    The latter may be masks, so only images in colour count: of each name a JPEG, or else the first.
+    The latter may be masks, so only images in colour count: of each number a JPEG, or else the first.
     """
     named = beside_each_other(folder, COLOR_WORD)
     if named.files:
@@ -186,15 +187,11 @@ def _color_beside(folder: Path) -> NamedImages:
     frames, every = set(beside_each_other(folder, DEPTH_WORD).stems), in_folder(folder, COLOR_SUFFIXES)
     chosen = dict[str, Path]()
     for file in every.files:
-        stem = FRAME_WORD.sub(r"\1", file.stem)
-        is_first = stem not in chosen or (_is_jpeg(file) and not _is_jpeg(chosen[stem]))
-        if stem in frames and is_first and file.is_file() and is_in_color(read_head(file, COLOR_HEAD_BYTES)):
+        stem, is_jpeg = FRAME_WORD.sub(r"\1", file.stem), file.suffix.lower() in JPEG_SUFFIXES
+        wanted = stem in frames and (is_jpeg or stem not in chosen) and file.is_file()
+        if wanted and is_in_color(read_head(file, COLOR_HEAD_BYTES)):
             chosen[stem] = file
     return NamedImages(tuple(chosen.values()), tuple(chosen))
-
-
-def _is_jpeg(file: Path) -> bool:
-    return file.suffix.lower() in {".jpg", ".jpeg"}
 
 
 def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
