@@ -152,7 +152,7 @@ def _on_its_side(frame: WholeFrame) -> bool:
     if frame.bgr is None:
         return False
     (height, width, _), (depth_height, depth_width) = frame.bgr.shape, frame.depth.shape
-    return (height - width) * (depth_height - depth_width) < 0
+    return bool((height - width) * (depth_height - depth_width) < 0)
 
 
 def _where(fit: EdgeFit) -> str:
