@@ -15,6 +15,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import several_series
 from kinectbench.stages.ingest.readers import open_recording, source_files
+from kinectbench.stages.ingest.readers.seven_scenes import SevenScenesRecording
 from kinectbench.stages.ingest.recording import FileRecording
 
 K = np.array([[FX, 0, CX], [0, FY, CY], [0, 0, 1]])
@@ -89,6 +90,11 @@ def test_measured_depth_comes_before_rendered_depth(tmp_path: Path, measured: st
     recording = opened(folder)
     assert len(recording) == 3
     assert f"37 frames have depth of another kind than {measured}, such as" in recording.warnings[0]
+
+
+def test_frames_that_are_gone_are_no_crash(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="there is no image"):
+        SevenScenesRecording.open(tmp_path, CAMERA)
 
 
 def replica(scene: Path) -> Path:

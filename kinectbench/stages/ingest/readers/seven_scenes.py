@@ -166,11 +166,13 @@ def _depth_of_one_kind(path: Path) -> tuple[dict[int, Path], tuple[str, ...]]:
     for file in sorted(listed_paths(path, wanted=DEPTH_NAME.fullmatch)):
         if match := DEPTH_NAME.fullmatch(file.name):
             kinds.setdefault(match[2], {})[int(match[1])] = file
-    kind = min(kinds, key=lambda name: (name.startswith("rendered"), -len(kinds[name]), name.endswith("pgm")))
-    others = {number: file for files in kinds.values() for number, file in files.items()}
-    left = [others[number].name for number in sorted(others.keys() - kinds[kind])]
-    have = f"{len(left)} frames have depth of another kind than {kind}, such as "
-    return kinds[kind], (f"{path}: {have}{left[0]}, and are not read: keep one kind",) if left else ()
+    order = sorted(kinds, key=lambda kind: ("rendered" in kind, -len(kinds[kind]), "pgm" in kind))
+    chosen = kinds[order[0]] if order else {}
+    left = {number: file for kind in order for number, file in kinds[kind].items() if number not in chosen}
+    if not left:
+        return chosen, ()
+    what = f"{len(left)} frames have depth of another kind than {order[0]}, such as {left[min(left)].name}"
+    return chosen, (f"{path}: {what}, and are not read: keep one kind",)
 
 
 def _camera_file(path: Path) -> Path | None:
