@@ -211,7 +211,7 @@ def _levels(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
 def _codes(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     """Detect a value that marks missing depth: the highest, if it is frequent and far above all others.
 
-    Raw disparity may have its bytes exchanged, as in NYU Depth V2; what it says is noise to `_byte_order`.
+    Raw disparity may have its bytes exchanged, as in NYU Depth V2, which `_byte_order` takes for noise.
     """
     for values, first in ((measured, ""), (measured.byteswap(), SWAP_FIRST)):
         below = values[values < NO_DISPARITY]

@@ -113,7 +113,7 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
 
 
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
-    """Report colour that is mirrored, or not registered to depth although the recording states that it is.
+    """Report colour that is mirrored, on its side, or not registered to depth although it is said to be.
 
     A note reports colour whose registration no edges prove, or colour that is only for display, because it is
     neither registered nor calibrated.
@@ -123,7 +123,7 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
         if any(_on_its_side(frame) for frame in probe.whole):
             what = "colour is upright and depth on its side, or the other way round"
             advice = "turn one by 90 degrees (with depth its intrinsics and poses, too), or leave colour out"
-            yield Finding("color_mirrored", "warning", what, probe.where, advice)
+            yield Finding("color_not_registered", "warning", what, probe.where, advice)
         elif probe.recording.color_registered and not all(shapes):
             what = "colour and depth images are of different shapes, but colour is taken to lie on depth"
             advice = "`color_registered: false` in camera.json"
@@ -148,10 +148,11 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
 
 
 def _on_its_side(frame: WholeFrame) -> bool:
-    """Whether one of colour and depth is wider than high, and the other not."""
-    return frame.bgr is not None and (frame.bgr.shape[0] > frame.bgr.shape[1]) != (
-        frame.depth.shape[0] > frame.depth.shape[1]
-    )
+    """Whether one of colour and depth is wider than high, and the other higher than wide."""
+    if frame.bgr is None:
+        return False
+    (height, width, _), (depth_height, depth_width) = frame.bgr.shape, frame.depth.shape
+    return bool((height - width) * (depth_height - depth_width) < 0)
 
 
 def _where(fit: EdgeFit) -> str:

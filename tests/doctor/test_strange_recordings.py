@@ -62,10 +62,25 @@ def test_colour_on_its_side_is_said(folder: Path) -> None:
     (folder / "camera_intrinsic.json").write_text(json.dumps({**camera, "color_registered": None}))
     for file in (folder / "color").iterdir():
         cv2.imwrite(str(file), np.rot90(read_picture(file)))
-    found = findings(folder)["color_mirrored"]
-    assert (
-        "colour is upright and depth on its side" in found.what and "turn one by 90 degrees" in found.advice
-    )
+    found = findings(folder)
+    assert "color_mirrored" not in found
+    assert "colour is upright and depth on its side" in found["color_not_registered"].what
+    assert "turn one by 90 degrees" in found["color_not_registered"].advice
+
+
+@pytest.mark.parametrize("square", ["color", "depth"])
+def test_square_images_are_not_on_their_side(folder: Path, square: str) -> None:
+    camera = json.loads((folder / "camera_intrinsic.json").read_text())
+    if square == "depth":
+        camera = {**camera, "width": 120, "height": 120}
+    (folder / "camera_intrinsic.json").write_text(json.dumps({**camera, "color_registered": None}))
+    for file in (folder / "color").iterdir():
+        image = read_picture(file)
+        cv2.imwrite(str(file), image[:, :120] if square == "color" else np.rot90(image))
+    for file in (folder / "depth").iterdir():
+        if square == "depth":
+            cv2.imwrite(str(file), read_picture(file, cv2.IMREAD_UNCHANGED)[:, :120])
+    assert not any("on its side" in found.what for found in findings(folder).values())
 
 
 @pytest.mark.parametrize("swapped", [False, True])

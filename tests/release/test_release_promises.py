@@ -111,9 +111,9 @@ FORGED: dict[str, tuple[Forge, str]] = {
         lambda folder: (folder / "objects/chair_01.glb").unlink(),
         "objects/chair_01.glb: missing, a release of recordings has it",
     ),
-    "a key of all pairs": (note_in_all_pairs, f"{PAIR}: holds 'note', which no such file has"),
-    "a key of a volume": (note_in_volume, f"{VOLUME}: holds 'note', which no such file has"),
-    "no pair with interior": (of_this_stage, f"{PAIR}: without 'interior', which such a file has"),
+    "a key of all pairs": (note_in_all_pairs, f"{PAIR}: holds the unknown key 'note'"),
+    "a key of a volume": (note_in_volume, f"{VOLUME}: holds the unknown key 'note'"),
+    "no pair with interior": (of_this_stage, f"{PAIR}: lacks the key 'interior'"),
     "a truth without figures": (of_this_stage, f"{QUALITY}: does not state doubts, surface_sigma_m, unknown"),
     "a position": (
         edited(VIEWS, lambda views: views.update(gps={"latitude": 48.1})),
@@ -159,7 +159,7 @@ FORGED: dict[str, tuple[Forge, str]] = {
     ),
     "a view twice": (
         edited(VIEWS, lambda views: views["views"].append(views["views"][0])),
-        f"{VIEWS}: has 000 tw",
+        f"{VIEWS}: has view 000 twice",
     ),
     "a frame twice": (
         edited(VIEWS, lambda views: views["views"][0].update(frame=1, stamp_ns=10**9)),
@@ -175,7 +175,11 @@ FORGED: dict[str, tuple[Forge, str]] = {
     ),
     "no files": (
         edited("lineage.json", lambda content: content["recordings"]["chair_01"].update(files={})),
-        "lineage.json: does not name the files or the views of chair_01",
+        "lineage.json: does not name the files of chair_01",
+    ),
+    "no views": (
+        edited("lineage.json", lambda content: content["recordings"]["chair_01"].pop("views")),
+        "lineage.json: does not name the views of chair_01",
     ),
     "a view packed otherwise": (
         packed_otherwise,

@@ -24,6 +24,7 @@ from kinectbench.core.sequence import depth_in_metres
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.view_grids import partial_grids
+from kinectbench.release.check.reservations import reservations
 from kinectbench.release.check.verify import verify
 from kinectbench.release.check.view_check import view_problems
 from kinectbench.release.publish.publish import NO_OPTIONS, publish
@@ -197,7 +198,12 @@ def test_what_no_depth_is_published_of_is_said(
     assert said.status == 1 and said.err.count(".depth.png: missing, targets.csv has its pair") == 7
     monkeypatch.setattr("kinectbench.core.artefacts.benchmark.__version__", "99")
     said = command(tmp_path, "verify", str(copy))
-    assert said.status == 0 and "; 7 of 7 partials were compared with no depth" in said.out
+    assert "; 7 of 7 partials could not be compared with depth: the release has none" in said.out
+    assert said.status == 0 and "with a mesh" not in said.out
+    for path in (copy / "objects").glob("*/mesh.ply"):  # pairs imported from elsewhere have no mesh
+        path.unlink()
+    seal(copy)
+    assert "7 of 7 shapes could not be compared with a mesh: the release has none" in reservations(copy)
 
 
 def json_of(name: str, change: Callable[[dict[str, Any]], object]) -> Change:

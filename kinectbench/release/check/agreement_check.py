@@ -332,8 +332,10 @@ def _lineage_problems(text: str, stated: Stated) -> Iterator[str]:
         elif stated.metadata.of_this_version and not stated.metadata.isolates(name):
             if absent := [stage.name for stage in STAGES if stage.name not in row.stages]:
                 yield f"does not say how {', '.join(absent)} of {printable(name)} was made"
-            if not (row.files or row.files_sha256) or (row.views is None and not stated.metadata.hides(name)):
-                yield f"does not name the files or the views of {printable(name)}"
+            if not (row.files or row.files_sha256):
+                yield f"does not name the files of {printable(name)}"
+            if row.views is None and not stated.metadata.hides(name):
+                yield f"does not name the views of {printable(name)}"
     if stated.says_twice:
         yield from lineage_problems(lineage, stated.metadata)
 
@@ -381,10 +383,9 @@ def _views_problems(
     own_views = stated.views_of(recording)
     if own_views - listed or (listed - own_views and any(row.pair is not None for row in rows)):
         yield f"other views with a pair than in {TARGETS_CSV}"
-    frames = (f"frame {row.frame}" for row in rows if row.pair and row.frame is not None)
-    if twice := [
-        name for name, count in Counter((*(row.view for row in rows), *frames)).items() if count > 1
-    ]:
+    names = [f"view {row.view}" for row in rows]
+    names += [f"frame {row.frame}" for row in rows if row.pair and row.frame is not None]
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
         yield f"has {printable(twice[0])} twice"
     needed = VIEW_KEYS if stated.metadata.hides(recording) else (*VIEW_KEYS, *POSED_KEYS)
     absent = [key for key in needed if any(getattr(row, key) is None for row in rows)]

@@ -56,7 +56,7 @@ def promise_problems(
     targets: Sequence[Target],
     pair_keys: Mapping[str, Mapping[str, Collection[str]]],
 ) -> Iterator[str]:
-    """Yield a message for each file or key that a release of recordings does not have, or lacks.
+    """Yield a message for each file or key of a release that must not be there, or is missing.
 
     Args:
         contents: the release, which this version published; its other files have passed all checks.
@@ -107,9 +107,9 @@ def _other_keys(
     name: str, keys: Collection[str], may: Collection[str], must: Collection[str]
 ) -> Iterator[str]:
     if more := sorted(set(keys) - set(may)):
-        yield f"{name}: holds '{printable(more[0])}', which no such file has"
+        yield f"{name}: holds the unknown key '{printable(more[0])}'"
     if less := sorted(set(must) - set(keys)):
-        yield f"{name}: without '{less[0]}', which such a file has"
+        yield f"{name}: lacks the key '{less[0]}'"
 
 
 def _volume_keys(contents: Contents, name: str, is_new: bool) -> Iterator[str]:

@@ -37,11 +37,13 @@ def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
         return clauses
     solids = [name.split("/")[1] for name in pairs if info.has_solid(name.split("/")[1])]
     if bare := sum(f"objects/{recording}/{OBJECT_FILES[0]}" not in sums for recording in solids):
-        clauses.append(f"{bare} of {len(pairs)} shapes were compared with no mesh, which is not published")
+        clauses.append(
+            f"{bare} of {len(pairs)} shapes could not be compared with a mesh: the release has none"
+        )
     if without < len(pairs) and (missing := no_decoder()):
         clauses.append(f"no partial was compared with its view's depth: {missing}")
     elif without:
         clauses.append(
-            f"{without} of {len(pairs)} partials were compared with no depth, which is not published"
+            f"{without} of {len(pairs)} partials could not be compared with depth: the release has none"
         )
     return clauses

@@ -1,4 +1,4 @@
-"""Turn colour images in BMP and PPM (netpbm.sourceforge.net) into PNG, as later stages expect."""
+"""Tell colour images by their heads; turn BMP and PPM (netpbm.sourceforge.net) into PNG for later stages."""
 
 import re
 import struct
@@ -6,6 +6,7 @@ import struct
 import numpy as np
 
 from kinectbench.core import is_too_large
+from kinectbench.core.encoded_images import JPEG_MAGIC, PNG_MAGIC
 from kinectbench.stages.ingest.images import DamagedImageError, decode_unchanged, encode_png
 from kinectbench.stages.ingest.netpbm import BETWEEN, HEAD_BYTES
 
@@ -17,8 +18,26 @@ PPM_HEAD = re.compile(
 # Where a BMP begins its second header, whose first number is its length; of the oldest kind it is 12, and the
 # sides are then of 16 bits (Microsoft's BITMAPCOREHEADER and BITMAPINFOHEADER).
 BMP_INFO, BMP_CORE_BYTES = 14, 12
+# The frame header of a JPEG with one channel of 8 bits (ITU-T T.81, B.2.2).
+GREY_JPEG = re.compile(rb"\xff[\xc0-\xcf]\x00\x0b\x08.{4}\x01", re.DOTALL)
+# Types of a PNG in colour, without and with alpha (W3C, PNG, 11.2.1), and bits of a pixel of such a BMP.
+COLOR_PNG, COLOR_BMP = (2, 6), (24, 32)
 # Largest value of a channel of 8 bits, and the largest that a PPM may state (netpbm.sourceforge.net).
 WHITE, MOST_WHITE = 255, 65535
+
+
+def is_in_color(head: bytes) -> bool:
+    """Whether an image is a PNG, JPEG, BMP or PPM in colour; a PNG with 8 bits per channel.
+
+    Args:
+        head: the first bytes of the file. If they end before a JPEG states its channels, it counts as colour.
+    """
+    if head.startswith(PNG_MAGIC):
+        return len(head) > 25 and head[24] == 8 and head[25] in COLOR_PNG
+    if head.startswith(BMP_MAGIC):
+        at = BMP_INFO + (10 if head[BMP_INFO : BMP_INFO + 1] == bytes([BMP_CORE_BYTES]) else 14)
+        return int.from_bytes(head[at : at + 2], "little") in COLOR_BMP
+    return head.startswith(PPM_MAGIC) or (head.startswith(JPEG_MAGIC) and not GREY_JPEG.search(head))
 
 
 def as_png(data: bytes, name: str) -> bytes:

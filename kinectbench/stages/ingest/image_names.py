@@ -6,7 +6,7 @@ read as such.
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from decimal import Decimal
 from itertools import pairwise
@@ -34,8 +34,6 @@ DEVICE = re.compile(
     r".*(?:cam(?:era)?|kinect|sensor|realsense|device|serial|(?<![a-z])(?:dev|rs|sn))[-_. ]*", re.IGNORECASE
 )
 SERIAL_DIGITS = 11
-# Names of a camera's and a frame's number.
-TWO_COUNTS = re.compile(r"\d{1,9}[-_ ]\d{1,9}")
 # How many numbers a name, and how many digits a stamp may have: nanoseconds with decimals have no more.
 MOST_NUMBERS, MOST_DIGITS = 16, 30
 # Units of time in nanoseconds: s, ms, us, ns.
@@ -120,10 +118,10 @@ def times_of_names(stems: Sequence[str]) -> list[int] | None:
 def several_series(stems: Sequence[str]) -> list[str]:
     """Return the first name of each series if names are of several, as cam0_0001 and cam1_0001; else [].
 
-    Series differ in one word, in one number behind a word for devices, in one serial number, or in one of two
-    bare counts, as 01_0001 and 02_0001. Other numbers may be minutes, parts or rows, in which the last number
-    restarts. Each other series has at least half of its images in common with the first, by the rest of the
-    name. Names that are times are one series.
+    Series differ in one word, in one number behind a word for devices, or in one serial number. Other numbers
+    may be minutes, parts or rows, in which the last number restarts, as in 01_0001 and 02_0001. Each other
+    series has at least half of its images in common with the first, by the rest of the name. Names that are
+    times are one series.
 
     Args:
         stems: names of one stream without suffix, in numeric order.
@@ -131,7 +129,6 @@ def several_series(stems: Sequence[str]) -> list[str]:
     rows = [re.split(r"(\d{1,18})", stem) for stem in stems]
     if len({len(row) for row in rows}) != 1 or times_of_names(stems) is not None:
         return []
-    bare = all(map(TWO_COUNTS.fullmatch, stems))
     for place in range(len(rows[0])):
         series, firsts = dict[str, set[tuple[str, ...]]](), dict[str, str]()
         for stem, row in zip(stems, rows, strict=True):
@@ -141,20 +138,11 @@ def several_series(stems: Sequence[str]) -> list[str]:
         if not 1 < len(series) <= MOST_SERIES or min(map(len, series.values())) < LEAST_OF_SERIES:
             continue
         of_device = all(DEVICE.fullmatch(row[place - 1]) for row in rows)
-        of_serial = min(map(len, series)) >= SERIAL_DIGITS
-        frames = {row[4 - place] for row in rows} if bare and place % 2 else ()
-        of_count = frames and _counts(frames) and _counts(series) and all(each == first for each in others)
-        if place % 2 and not (of_device or of_serial or of_count):
+        if place % 2 and not of_device and min(map(len, series)) < SERIAL_DIGITS:
             continue
         if all(2 * len(first & other) >= len(other) for other in others):
             return list(firsts.values())
     return []
-
-
-def _counts(texts: Iterable[str]) -> bool:
-    """Whether numbers count on from 0 or 1."""
-    numbers = sorted(map(int, texts))
-    return numbers[0] in (0, 1) and numbers == [*range(numbers[0], numbers[0] + len(numbers))]
 
 
 def stamps_of_names(stems: Sequence[str]) -> list[int]:

@@ -32,7 +32,14 @@ from kinectbench.stages.ingest.intrinsics_words import (
 )
 from kinectbench.stages.ingest.intrinsics_yaml import intrinsics_in_yaml
 from kinectbench.stages.ingest.json_values import read_json_object
-from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, is_like_poses, visible
+from kinectbench.stages.ingest.known_names import (
+    REPLICA_FOLDER,
+    first_named,
+    in_any_case,
+    in_order,
+    is_like_poses,
+    visible,
+)
 
 JSON_FILES = (
     "intrinsics.json",
@@ -72,6 +79,8 @@ MVSNET = re.compile(r"^intrinsic\s+((?:[-+.\deE]{1,30}\s+){9})", re.MULTILINE)
 MOST_NAMED, LOOKED_AT = 4, 20_000
 # Side of the largest image, pixels, of a camera whose file states none: the limit of JPEG.
 MOST_SIDE_PX = 65_535
+# Cameras with a shorter focal length in pixels are not shown: a 2-D transform has 1 there (chosen by hand).
+LEAST_SHOWN_PX = 10.0
 
 
 def find_intrinsics(
@@ -170,7 +179,7 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
 
 def camera_file(path: Path) -> Path | None:
     """Return the file of intrinsics with a sure name, in a folder or beside NICE-SLAM's scene; or None."""
-    of_scene = (path / "results").is_dir()
+    of_scene = (path / REPLICA_FOLDER).is_dir()
     above = first_named(path.parent, (NICE_SLAM,)) if of_scene else None
     return first_named(path, (*JSON_FILES, *MATRIX_FILES)) or above
 
@@ -243,7 +252,8 @@ def _cameras_inside(file: Path) -> list[tuple[str, str]]:
             said = intrinsics_of_keys(value, file) if isinstance(value, dict) else said
             camera = said.camera((said.width or MOST_SIDE_PX, said.height or MOST_SIDE_PX), file)
             numbers = ", ".join(f"{key}: {getattr(camera, key):.7g}" for key in NEEDED)
-            cameras.append((printable(name), f"camera: {{{numbers}}}"))
+            if min(camera.fx, camera.fy) > LEAST_SHOWN_PX:
+                cameras.append((printable(name), f"camera: {{{numbers}}}"))
     return cameras[:MOST_NAMED]
 
 

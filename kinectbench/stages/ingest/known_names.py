@@ -15,6 +15,8 @@ from kinectbench.core import listed_paths, printable, scanned
 SIMILAR, LENGTHS_APART = 0.85, 2
 # In folders with more entries, only names as given are found.
 LOOKED_AT = 20_000
+# The folder of depth and colour of Replica, as NICE-SLAM renders it.
+REPLICA_FOLDER = "results"
 # Names of files that may contain poses in an unsupported layout.
 LIKE_POSES = re.compile(
     r"(?=.*(?:pose|traj|extrin|transform|odom|ground[-_. ]?truth|(?<![a-z])gt(?![a-z])|(?:to_?|2)world|c2w))"

@@ -15,6 +15,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import several_series
 from kinectbench.stages.ingest.readers import open_recording, source_files
+from kinectbench.stages.ingest.readers.seven_scenes import SevenScenesRecording
 from kinectbench.stages.ingest.recording import FileRecording
 
 K = np.array([[FX, 0, CX], [0, FY, CY], [0, 0, 1]])
@@ -74,6 +75,28 @@ def test_3rscan_and_rio10(tmp_path: Path, kind: str) -> None:
     assert recording.frame(2).color is not None
 
 
+@pytest.mark.parametrize("measured", ["depth.png", "depth.pgm"])
+def test_measured_depth_comes_before_rendered_depth(tmp_path: Path, measured: str) -> None:
+    folder = tmp_path / "r"
+    for kind in (measured, "rendered.depth.png"):
+        frames(folder, f"frame-{{:06d}}.{kind}", "frame-{:06d}.color.jpg", count=40)
+    (folder / "camera-intrinsics.txt").write_text("\n".join(" ".join(map(str, row)) for row in K))
+    recording = opened(folder)
+    names = [frame.depth.name for frame in recording.places]
+    assert names == [f"frame-{i:06d}.{measured}" for i in range(40)]
+    assert not any("not read" in line for line in recording.warnings)
+    for i in range(3, 40):
+        (folder / f"frame-{i:06d}.{measured}").unlink()
+    recording = opened(folder)
+    assert len(recording) == 3
+    assert f"37 frames have depth of another kind than {measured}, such as" in recording.warnings[0]
+
+
+def test_frames_that_are_gone_are_no_crash(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="there is no image"):
+        SevenScenesRecording.open(tmp_path, CAMERA)
+
+
 def replica(scene: Path) -> Path:
     frames(scene, "results/depth{:06d}.png", "results/frame{:06d}.jpg", scale=6553.5)
     np.savetxt(scene / "traj.txt", [pose(i).ravel() for i in range(6)])
@@ -105,6 +128,34 @@ def test_colour_that_is_named_by_its_number_alone(tmp_path: Path) -> None:
     recording = opened(folder, CAMERA)
     names = [(frame.depth.name, frame.color and frame.color.name) for frame in recording.places]
     assert names == [(f"chair_1_1_{i}_depth.png", f"chair_1_1_{i}.png") for i in range(12)]
+
+
+MASK = np.full((HEIGHT, WIDTH), 255, np.uint8)
+
+
+@pytest.mark.parametrize("color", ["{:04d}.jpg", "frame_{:04d}.png"])
+@pytest.mark.parametrize("other", [png(MASK), png(depth_image(0)), png(depth_image(0))[:40]])
+def test_a_mask_named_by_its_number_is_no_colour(tmp_path: Path, color: str, other: bytes) -> None:
+    folder = frames(tmp_path / "r", "depth_{:04d}.png", color)
+    for i in range(6):
+        (folder / f"{i:04d}.png").write_bytes(other)
+    names = [frame.color and frame.color.name for frame in opened(folder, CAMERA).places]
+    assert names == [color.format(i) for i in range(6)]
+    for i in range(6):
+        (folder / color.format(i)).unlink()
+    assert "put depth alone into a folder depth/ and colour into color/" in refused(folder)
+
+
+def test_a_grey_jpeg_is_no_colour(tmp_path: Path) -> None:
+    folder = frames(tmp_path / "r", "depth_{:04d}.png", "{:04d}.png")
+    for i in range(6):
+        (folder / f"{i:04d}.jpg").write_bytes(jpeg(MASK))
+    names = [frame.color and frame.color.name for frame in opened(folder, CAMERA).places]
+    assert names == [f"{i:04d}.png" for i in range(6)]
+    for i in range(6):
+        (folder / f"{i:04d}.jpg").write_bytes(jpeg(color_image(i)))
+    frame = opened(folder, CAMERA).places[3]
+    assert frame.color and frame.color.name == "0003.jpg"
 
 
 @pytest.mark.parametrize("further", [True, False])
@@ -143,6 +194,39 @@ def test_an_npz_of_no_or_several_stacks_is_named_as_such(tmp_path: Path) -> None
         assert "is a file of NumPy arrays (.npz); write the depth of each frame" in refused(
             tmp_path / f"{name}.npz"
         )
+
+
+def test_an_npz_of_arrays_of_one_shape_writes_none_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images, poses = np.zeros((6, 1, HEIGHT, WIDTH, 3), np.uint8), np.tile(np.eye(4), (6, 1, 1))
+    depth = np.stack([depth_image(i) for i in range(6)])
+    arrays: dict[str, np.ndarray] = {"depth": depth, "rgb": images, "c2w": poses, "K": K}
+    more = {"normals": images, "imu": poses, "R": np.tile(np.eye(3), (6, 1, 1))}
+    for name, held in (("alone", arrays), ("several", {**arrays, **more})):
+        folder = tmp_path / name
+        folder.mkdir()
+        np.savez_compressed(folder / "scan.npz", allow_pickle=False, **held)
+        said = refused(folder)
+        (line,) = re.findall(r"such as by `([^`]*)`", said)
+        monkeypatch.chdir(folder)
+        exec(line, {})
+        written = {"color", "poses.txt", "intrinsics.txt"} if name == "alone" else set()
+        assert {file.name for file in folder.iterdir()} == {"scan.npz", "depth", *written}
+        which = "; write the right one of rgb, normals to color/, of c2w, imu to poses.txt, of K, R to intri"
+        assert (which in said) == ("intrinsics.json beside" in said) == (name == "several")
+
+
+@pytest.mark.parametrize("long", ["depth", "poses"])
+def test_names_of_arrays_do_not_make_a_message_long(tmp_path: Path, long: str) -> None:
+    depth, poses = np.zeros((6, HEIGHT, WIDTH), np.uint16), np.tile(np.eye(4), (6, 1, 1))
+    arrays: dict[str, np.ndarray] = {"depth": depth, "poses": poses}
+    arrays[long + "x" * 20_000] = arrays.pop(long)
+    np.savez_compressed(tmp_path / "scan.npz", allow_pickle=False, **arrays)
+    assert len(refused(tmp_path)) < 2000 and len(refused(tmp_path / "scan.npz")) < 2000
+    many: dict[str, np.ndarray] = {"depth": depth, **{f"poses{i}": poses for i in range(2000)}}
+    np.savez_compressed(tmp_path / "scan.npz", allow_pickle=False, **many)
+    assert len(refused(tmp_path / "scan.npz")) < 2000
 
 
 def test_the_line_for_hdf5_reads_an_array_of_any_name(
@@ -185,13 +269,13 @@ def test_depth_of_two_cameras_in_one_folder_is_told_apart(tmp_path: Path) -> Non
         frames(tmp_path / "r", f"depth/cam{camera}/{{:04d}}.png", f"color/cam{camera}/{{:04d}}.jpg")
     said = refused(tmp_path / "r")
     assert "depth/cam0/ holds 16-bit PNG images" in said
-    assert "known: depth/cam1 too: give each camera a folder of its own: there put depth" in said
+    assert "known (also depth/cam1). Give each camera its own folder, and there put depth" in said
 
 
 def test_several_recordings_in_a_folder_are_all_named(tmp_path: Path) -> None:
     for camera in (1, 2):
         write_folder(tmp_path / f"r/cam{camera}")
-    assert "holds several recordings, cam1, cam2: each is" in refused(tmp_path / "r")
+    assert "holds several recordings (cam1, cam2); give the path of one" in refused(tmp_path / "r")
     (tmp_path / "r/cam2").rename(tmp_path / "away")
     assert f"Did you mean {tmp_path / 'r/cam1'}?" in refused(tmp_path / "r")
 
@@ -218,6 +302,8 @@ SHOWN = f"`camera: {{fx: {FX:g}, fy: {FY:g}, cx: {CX:g}, cy: {CY:g}}}`"
         ("cameras/{:04d}.json", json.dumps({"K": K.tolist()}), "cameras/0000.json, which holds "),
         ("cams/{:08d}_cam.txt", CAM, "cams/00000000_cam.txt holds the camera 00000000_cam: .* as "),
         ("labels2/{:04d}.txt", "1 2 3 4\n", "the files of each frame, such as labels2/0000.txt$"),
+        ("planar/{:04d}.txt", "1 0 .5\n0 1 .2\n0 0 1\n", "the files of each frame, such as planar/0000.txt$"),
+        ("planar/{:04d}.json", '{"K": [[1, 0, 0.5], [0, 1, 0.2], [0, 0, 1]]}', "such as planar/0000.json$"),
         ("places/{:04d}.txt", IDENTITY, "the files of each frame, such as places/0000.txt$"),
     ],
 )
@@ -232,10 +318,14 @@ def test_intrinsics_of_each_frame_are_printed(tmp_path: Path, name: str, text: s
         open_recording(folder)
 
 
-@pytest.mark.parametrize("form", ["0{0}_{1:04d}", "{1}-0{0}"])
-def test_two_cameras_by_bare_numbers_are_named(tmp_path: Path, form: str) -> None:
-    names = [form.format(camera, i) for camera in (1, 2) for i in range(1, 11)]
-    (line,) = opened(write_folder(tmp_path / "r", names)).warnings
-    assert "the names of depth are 2 series" in line
-    # Parts of a recording end with a shorter one.
-    assert several_series([*names[:-3]]) == []
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"{row}_{column}" for row in range(3) for column in range(36)],
+        [f"{minute:02d}_{second:02d}" for minute in range(2) for second in range(60)],
+        [f"{elevation}-{angle:03d}" for elevation in range(5) for angle in range(72)],
+        [f"{i // 100}_{i % 100}" for i in range(300)],
+    ],
+)
+def test_two_bare_numbers_are_no_cameras(names: list[str]) -> None:
+    assert several_series(names) == []

@@ -275,7 +275,7 @@ def _unknown(path: Path) -> str:
         return f"{path}: is one file of a recording; give its folder, {above}"
     if len(inside) > 1:
         names = listed(printable(str(found.relative_to(path))) for found, _ in inside)
-        return f"{path}: holds several recordings, {names}: each is a recording of its own: give its path"
+        return f"{path}: holds several recordings ({names}); give the path of one"
     misspelt = "".join(f"; {line}" for line in misnamed(path, COMMON_NAMES))
     reason = None if inside else without_depth(path, name_suffixes())
     if reason is not None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from kinectbench.core import listed as names_of
 from kinectbench.core import printable, read_head
 from kinectbench.core.encoded_images import PNG_MAGIC
+from kinectbench.stages.ingest.color_pictures import is_in_color
 from kinectbench.stages.ingest.depth_files import SUFFIXES
 from kinectbench.stages.ingest.readers.folder_images import (
     DEPTH_WORD,
@@ -35,8 +36,6 @@ RAW = "export the raw 16-bit depth (of rs-convert: option -r), or copy the .bag 
 NUMBER, MOST_KINDS = re.compile(r"\d+"), 50
 # So many images that are named depth are no stray pictures (chosen by hand).
 LEAST_PICTURES = 3
-# Types of colour in the head of a PNG with more than one channel: colour, and colour with alpha.
-SEVERAL_CHANNELS = (2, 6)
 PACKED = (
     "or, if its channels are bytes of depth, as those of RLBench and TartanAir, join them by the data set's "
     f"own tool, and {CONVERT}"
@@ -80,8 +79,8 @@ def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
         place = folder.relative_to(path).as_posix() if folder != path else path.name
         where = f"{printable(place)}/ holds 16-bit PNG images that look like depth ({printable(first.name)})"
         others = names_of(printable(each.relative_to(path).as_posix()) for each in sorted(deep)[1:])
-        apart = f"{others} too: give each camera a folder of its own: there " if others else ""
-        return f"{path}: {where}, but in no layout that is known: {apart}{MOVE}"
+        apart = f" (also {others}). Give each camera its own folder, and there " if others else ": "
+        return f"{path}: {where}, but in no layout that is known{apart}{MOVE}"
     return (
         unread_files(listed)
         or stacked(listed)
@@ -109,7 +108,7 @@ def _of_pictures(path: Path, pictures: list[Path]) -> str:
         f"are pictures in 8 bits (false colours?): {RAW}"
     )
     head = read_head(first, HEAD_BYTES)
-    packed = len(head) == HEAD_BYTES and head.startswith(PNG_MAGIC) and head[-1] in SEVERAL_CHANNELS
+    packed = head.startswith(PNG_MAGIC) and is_in_color(head)
     return f"{line}; {PACKED}" if packed else line
 
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinectbench.core import listed_paths, printable, read_head
+from kinectbench.stages.ingest.color_pictures import is_in_color
 from kinectbench.stages.ingest.depth_files import SUFFIXES as DEPTH_SUFFIXES
 from kinectbench.stages.ingest.depth_files import depth_size_px
 from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import DamagedImageError, is_depth_png
-from kinectbench.stages.ingest.known_names import in_any_case, in_order
+from kinectbench.stages.ingest.known_names import REPLICA_FOLDER, in_any_case, in_order
 from kinectbench.stages.ingest.recording import read_image_file
 
 COLOR_FOLDERS = ("color", "rgb", "image", "JPEGImages", "images")
@@ -29,21 +30,22 @@ OTHER_DEPTH = (
     "depth_registered",
     "depth_to_color",
 )
-COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".ppm"})
+JPEG_SUFFIXES = frozenset({".jpg", ".jpeg"})
+COLOR_SUFFIXES = JPEG_SUFFIXES | {".png", ".bmp", ".ppm"}
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 # YCB-Video has 000001-depth.png beside 000001-color.png; other data sets have the word first, or in between.
 DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 COLOR_WORD = re.compile(r"(.*?)[-_. ]?(?:colou?r|rgb)(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 LIKE_DEPTH = re.compile(r"depth|distance|disparity", re.IGNORECASE)
-# Words before the number of colour without a word of its own: Replica, as NICE-SLAM renders it, has
-# depth000000.png beside frame000000.jpg in results/; the RGB-D Object Dataset names colour by its number.
-FRAME_WORD, RESULTS = re.compile(r"(?:frame|image)?[-_. ]?(.+)", re.IGNORECASE | re.DOTALL), "results"
+# Words before the number of colour without a word of its own: Replica has depth000000.png beside
+# frame000000.jpg; the RGB-D Object Dataset names colour by its number.
+FRAME_WORD = re.compile(r"(?:frame|image)?[-_. ]?(.+)", re.IGNORECASE | re.DOTALL)
 # What librealsense's tools and DexYCB add to the name of an image that lies on the other camera's pixels.
 TO_OTHER = re.compile(r"(?:aligned[-_. ])?(depth|colou?r)[-_. ]to[-_. ](?:depth|colou?r)", re.IGNORECASE)
 # Arrays with a shorter side are no images of a room (our own bound); larger files are not opened for it.
 LEAST_SIDE_PX, MOST_BYTES = 32, 4096
-# Bytes of a PNG that contain its number of bits.
-HEAD_BYTES = 26
+# Bytes of a PNG that contain its number of bits, and of a picture that usually contain its channels.
+HEAD_BYTES, COLOR_HEAD_BYTES = 26, 4096
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,7 @@ def unread_color(path: Path) -> tuple[str, ...]:
 
 def folder_of_both(path: Path) -> Path | None:
     """Return the folder, `path` or its results/, with 16-bit depth beside colour; None if there is none."""
-    for folder in (path, path / RESULTS):
+    for folder in (path, path / REPLICA_FOLDER):
         named = listed_paths(folder, wanted=_is_depth_png) if folder.is_dir() else ()
         if any(map(is_16_bit, named)):
             return folder if _color_beside(folder).files else None
@@ -175,14 +177,21 @@ def _is_depth_png(name: str) -> bool:
 
 
 def _color_beside(folder: Path) -> NamedImages:
-    """List the colour images beside depth: those with a word for colour, or else those named as depth is."""
+    """List the colour images beside depth: those with a word for colour, or else those named as depth is.
+
+    The latter may be masks, so only images in colour count: of each number a JPEG, or else the first.
+    """
     named = beside_each_other(folder, COLOR_WORD)
     if named.files:
         return named
     frames, every = set(beside_each_other(folder, DEPTH_WORD).stems), in_folder(folder, COLOR_SUFFIXES)
-    stems = [FRAME_WORD.sub(r"\1", stem) for stem in every.stems]
-    kept = [at for at, stem in enumerate(stems) if stem in frames]
-    return NamedImages(tuple(every.files[at] for at in kept), tuple(stems[at] for at in kept))
+    chosen = dict[str, Path]()
+    for file in every.files:
+        stem, is_jpeg = FRAME_WORD.sub(r"\1", file.stem), file.suffix.lower() in JPEG_SUFFIXES
+        wanted = stem in frames and (is_jpeg or stem not in chosen) and file.is_file()
+        if wanted and is_in_color(read_head(file, COLOR_HEAD_BYTES)):
+            chosen[stem] = file
+    return NamedImages(tuple(chosen.values()), tuple(chosen))
 
 
 def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:

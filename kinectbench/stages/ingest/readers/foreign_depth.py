@@ -7,6 +7,7 @@ from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
+from kinectbench.core import listed as names_of
 from kinectbench.core import printable, read_head, scanned
 from kinectbench.stages.ingest.depth_files import (
     ARRAYS,
@@ -49,6 +50,17 @@ READ_BY = {
     ".csv": 'numpy.loadtxt({f}, delimiter=",")',
     ".txt": "numpy.loadtxt({f})",
 }
+# File or folder -> Python that writes it from the ARRAY of a .npz, with a row or an image for each frame.
+WRITTEN_BY = {
+    "color/": (
+        "import cv2; os.makedirs('color', exist_ok=True); "
+        "[cv2.imwrite(f'color/{i:06d}.png', a[..., ::-1]) for i, a in enumerate(ARRAY)]"
+    ),
+    "poses.txt": "(lambda T: numpy.savetxt('poses.txt', T.reshape(len(T), -1)))(ARRAY)",
+    "intrinsics.txt": "numpy.savetxt('intrinsics.txt', ARRAY.reshape(-1, 3)[:3])",
+}
+# Characters of the longest name of an array that a message quotes (chosen by hand).
+LONGEST_KEY = 60
 # Kinds that hold depth or other things.
 POSSIBLY = frozenset({".jp2", ".mat", ".h5", ".hdf5", ".csv", ".npz"})
 # Texts that may hold an image, and bytes of the longest line that is read.
@@ -147,8 +159,9 @@ def stacked(listed: Listed) -> str | None:
 def stacked_in(file: Path, color_px: Sequence[tuple[int, int]] = ()) -> str | None:
     """Return a message on an .npy or .npz file with the depth of all frames, with a line that divides it.
 
-    The line also writes colour, poses and intrinsics that an .npz holds, by the shapes of its arrays. If no
-    array can be the depth of all frames, or if several may be, the result is None.
+    The line also writes colour, poses and intrinsics that an .npz holds, each if exactly one array has the
+    shape; else the message names those that do. The result is None if no array can be the depth of all
+    frames, if several may be, or if a name is too long or holds a backtick.
 
     Args:
         file: the file.
@@ -160,7 +173,7 @@ def stacked_in(file: Path, color_px: Sequence[tuple[int, int]] = ()) -> str | No
     }
     stacks = {key: stack for key, shape in shapes.items() if (stack := _frames_of(shape, known)) is not None}
     depth = [key for key in stacks if is_named_depth(key)] or [*stacks]
-    if len(depth) != 1 or "`" in f"{file.name}{''.join(shapes)}":
+    if len(depth) != 1 or "`" in f"{file.name}{''.join(shapes)}" or max(map(len, shapes)) > LONGEST_KEY:
         return None
     (key,), (count, last) = depth, stacks[depth[0]]
     loaded = f"numpy.load({file.name!r})"
@@ -170,12 +183,17 @@ def stacked_in(file: Path, color_px: Sequence[tuple[int, int]] = ()) -> str | No
         "import numpy, os; os.makedirs('depth', exist_ok=True); "
         f"[numpy.save(f'depth/{{i:06d}}.npy', a) for i, a in enumerate({array})]"
     )
-    for other, shape in shapes.items():
-        if write := _line_of(f"{loaded}[{other!r}]", shape, count):
-            line += f"; {write}"
+    unsure = list[str]()
+    for target, write in WRITTEN_BY.items():
+        fitting = [other for other, shape in shapes.items() if _file_of(shape, count) == target]
+        if len(fitting) == 1:
+            line += f"; {write.replace('ARRAY', f'{loaded}[{fitting[0]!r}].squeeze()')}"
+        elif fitting:
+            unsure.append(f"of {printable(names_of(fitting))} to {target}")
     held = f"{printable(file.name)} holds {count} images in one array, which is not read"
+    which = f"; write the right one {', '.join(unsure)}" if unsure else ""
     then = "" if "intrinsics.txt" in line else f"; then {MOVE}"
-    return f"{held}: write each to a file, such as by `{line}`{then}"
+    return f"{held}: write each to a file, such as by `{line}`{which}{then}"
 
 
 def _frames_of(shape: Sequence[int], known: Collection[tuple[int, ...]]) -> tuple[int, bool] | None:
@@ -188,16 +206,13 @@ def _frames_of(shape: Sequence[int], known: Collection[tuple[int, ...]]) -> tupl
     return (count, last) if count >= LEAST_IMAGES and min(sides) >= LEAST_SIDE_PX else None
 
 
-def _line_of(array: str, shape: Sequence[int], count: int) -> str:
-    """Return Python that writes colour, poses or intrinsics from an array of this shape; "" if none fits."""
+def _file_of(shape: Sequence[int], count: int) -> str:
+    """Return the key of `WRITTEN_BY` that an array of this shape fits, of `count` frames; "" if none."""
     if len(shape) == 4 and shape[0] == count and shape[3] == 3:
-        each = f"[cv2.imwrite(f'color/{{i:06d}}.png', a[..., ::-1]) for i, a in enumerate({array})]"
-        return f"import cv2; os.makedirs('color', exist_ok=True); {each}"
+        return "color/"
     if shape in ((count, 4, 4), (count, 3, 4)):
-        return f"numpy.savetxt('poses.txt', {array}.reshape({count}, -1))"
-    if shape in ((3, 3), (count, 3, 3)):
-        return f"numpy.savetxt('intrinsics.txt', {array}.reshape(-1, 3)[:3])"
-    return ""
+        return "poses.txt"
+    return "intrinsics.txt" if shape in ((3, 3), (count, 3, 3)) else ""
 
 
 def if_depth(listed: Listed) -> str:

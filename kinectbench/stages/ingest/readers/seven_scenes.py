@@ -56,7 +56,7 @@ INFO_FILES = ("_info.txt", "info.txt")
 KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 COLOR_KINDS = ("color.png", "color.jpg", "color.jpeg")
 # 3RScan's depth is PGM; RIO10's is rendered.
-DEPTH_NAME = re.compile(r"frame-(\d{1,9})\.(?:rendered\.)?depth\.(?:png|pgm)")
+DEPTH_NAME = re.compile(r"frame-(\d{1,9})\.((?:rendered\.)?depth\.(?:png|pgm))")
 # Key of depth's intrinsics in info.txt, as ScanNet's tools export it.
 DEPTH_INTRINSIC = "calibrationDepthIntrinsic"
 
@@ -94,14 +94,13 @@ class SevenScenesRecording(FileRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder contains a frame-XXXXXX.depth.png or .pgm."""
+        """Whether the folder contains a frame-XXXXXX.depth.png or .pgm, or such a .rendered.depth file."""
         return path.is_dir() and any(listed_paths(path, wanted=DEPTH_NAME.fullmatch))
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """List the frames and read their poses."""
-        depth_files = listed_paths(path, wanted=DEPTH_NAME.fullmatch)
-        numbered = {int(m[1]): f for f in depth_files if (m := DEPTH_NAME.fullmatch(f.name))}
+        """List the frames, with depth of one kind, and read their poses."""
+        numbered, unread = _depth_of_one_kind(path)
         stamps_ns = [number * NS_PER_S for number in sorted(numbered)]
         depth = [numbered[number] for number in sorted(numbered)]
         files = tuple(
@@ -134,6 +133,7 @@ class SevenScenesRecording(FileRecording):
             given_trajectory=trajectory,
             trajectory_error=error,
             warnings=(
+                *unread,
                 *without_color(path, files),
                 *scale_warnings(path, rig.depth.depth_scale, settings),
                 *assumed,
@@ -155,6 +155,24 @@ class SevenScenesRecording(FileRecording):
 def names_beside(names: Iterable[str]) -> tuple[str, ...]:
     """Return the files to look for in the parent folder of a sequence that has the files `names`."""
     return FILES_ABOVE if any(map(DEPTH_NAME.fullmatch, names)) else ()
+
+
+def _depth_of_one_kind(path: Path) -> tuple[dict[int, Path], tuple[str, ...]]:
+    """Return {frame number: depth image}, all of one kind, and a warning on frames that have another alone.
+
+    Measured depth comes before rendered depth, then the more frequent kind, then PNG.
+    """
+    kinds = dict[str, dict[int, Path]]()
+    for file in sorted(listed_paths(path, wanted=DEPTH_NAME.fullmatch)):
+        if match := DEPTH_NAME.fullmatch(file.name):
+            kinds.setdefault(match[2], {})[int(match[1])] = file
+    order = sorted(kinds, key=lambda kind: ("rendered" in kind, -len(kinds[kind]), "pgm" in kind))
+    chosen = kinds[order[0]] if order else {}
+    left = {number: file for kind in order for number, file in kinds[kind].items() if number not in chosen}
+    if not left:
+        return chosen, ()
+    what = f"{len(left)} frames have depth of another kind than {order[0]}, such as {left[min(left)].name}"
+    return chosen, (f"{path}: {what}, and are not read: keep one kind",)
 
 
 def _camera_file(path: Path) -> Path | None:
