@@ -15,7 +15,7 @@ from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.stages.segment.find.floor import Floor, find_floor
 from kinectbench.stages.segment.find.floor_choice import REASONS, PlaneCandidate, PlaneChoice, Reason
-from kinectbench.stages.segment.find.planes import floor_frame
+from kinectbench.stages.segment.find.planes import floor_frame, noise_about_m
 
 CELL_M = 0.03
 FOCUS = np.array([0.0, 0.0, 0.3])
@@ -233,3 +233,10 @@ def test_degenerate_x_axis_uses_z(sign: float) -> None:
     np.testing.assert_allclose(T_floor_world[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(T_floor_world[:3, :3] @ [1, 0, 0], [0, 0, sign], atol=1e-12)
     assert np.linalg.det(T_floor_world[:3, :3]) == pytest.approx(1)
+
+
+def test_what_no_point_is_near_is_no_flat_plane() -> None:
+    """Noise that is not a number would be below any bound."""
+    points = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
+    assert noise_about_m(np.array([0.0, 0.0, 1.0, 0.0]), points, 0.02) == np.inf
+    assert noise_about_m(np.array([0.0, 0.0, 1.0, -1.0]), points, 0.02) == 0

@@ -126,12 +126,16 @@ def is_flat(plane: Float64, surface: SceneSurface) -> bool:
 
 
 def noise_about_m(plane: Float64, points_world: Float64, inlier_m: float) -> float:
-    """Robust standard deviation about a plane (4,), metres, of the points (n, 3) within twice `inlier_m`."""
+    """Robust standard deviation about a plane (4,), metres, of the points (n, 3) within twice `inlier_m`.
+
+    It is infinite if no points are.
+    """
     return _noise_m(np.abs(above_m(plane, points_world)), inlier_m)
 
 
 def _noise_m(distance_m: Float64, inlier_m: float) -> float:
-    return float(1.4826 * np.median(distance_m[distance_m < 2 * inlier_m]))
+    near_m = distance_m[distance_m < 2 * inlier_m]
+    return float(1.4826 * np.median(near_m)) if len(near_m) else np.inf
 
 
 def refined_near(plane: Float64, surface: SceneSurface) -> tuple[Float64, float]:
