@@ -22,6 +22,7 @@ from kinectbench.core import (
     sha256_file,
     sha256_text,
 )
+from kinectbench.core.artefacts.benchmark import PUBLISH_VERSION
 from kinectbench.core.artefacts.manifest import Manifest, SourceFile, Sources, Timing
 from kinectbench.core.even_choice import evenly
 
@@ -48,7 +49,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 8,
     "pairs": 4,
     "suggest": 8,
-    "publish": 49,
+    "publish": PUBLISH_VERSION,
     "synthesize": 3,
     "score": 14,
     "baselines": 4,

@@ -8,6 +8,8 @@ import pytest
 from file_damage import seal
 
 from kinectbench._version import __version__
+from kinectbench.core.artefacts.benchmark import PUBLISH_VERSION
+from kinectbench.release.check.reservations import reservations
 from kinectbench.release.check.verify import verify
 
 # Whatever hides what is wrong with the truth, or where it is from.
@@ -63,6 +65,15 @@ def test_earlier_versions_may_have_written_fewer(release: Path) -> None:
     for name in ("benchmark.json", "lineage.json"):
         changed(release / name, version, '"package_version": "0.0.1"')
     assert not any(ABSENT in line for line in problems_without(release, "categories/chair.html"))
+
+
+def test_an_earlier_publish_of_this_package_version(release: Path) -> None:
+    """Between two releases of the package, what `publish` writes changes."""
+    changed(release / "benchmark.json", f'"publish_version": {PUBLISH_VERSION}', '"publish_version": 1')
+    changed(release / "schemas/pair.npz.json", "cells where the truth is trusted", "known cells")
+    seal(release)
+    assert verify(release) == []
+    assert any("publish version 1," in line for line in reservations(release))
 
 
 def test_a_schema_that_says_something_else(release: Path) -> None:

@@ -70,7 +70,7 @@ SEEDS = (0x9E3779B97F4A7C15, 0xD1B54A32D192ED03)
 
 # What says who wrote a file, and with which other files, rather than what it holds.
 PROVENANCE = {"package_version", "stage_version", "score_version", "baseline_version", "fingerprint"}
-PROVENANCE |= {"packages", "contentSize"}
+PROVENANCE |= {"packages", "contentSize", "publish_version"}
 HASH = re.compile(r"\b[0-9a-f]{64}\b|blake3:[0-9a-f]+")
 IMAGE = re.compile(r"base64,[A-Za-z0-9+/=]+")
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\w)")

@@ -14,6 +14,8 @@ from kinectbench.core.types import Framing, PartialRule, Split
 from kinectbench.core.untrusted_text import strict_json
 
 FORMAT_VERSION = 1
+# What `publish` writes, its texts and schemas included: raised by one when any of that changes.
+PUBLISH_VERSION = 50
 BENCHMARK_JSON = "benchmark.json"
 SHA256 = "^[0-9a-f]{64}$"
 UNSPECIFIED = "unspecified"
@@ -135,6 +137,7 @@ class ReleaseInfo(ReleaseFile):
     license: str = Field(description="the data's licence")
     format_version: int = Field(description="version of the release's layout")
     package_version: str = Field(description="version of kinectbench that published it")
+    publish_version: int | None = Field(None, description="version of what `publish` writes")
     benchmark_sha256: str = Field(
         pattern=SHA256,
         description="SHA-256 of SHA256SUMS without the line of benchmark.json, and of the rest of this file",
@@ -197,7 +200,8 @@ class ReleaseInfo(ReleaseFile):
     @property
     def of_this_version(self) -> bool:
         """Whether this version of the package published the release, of recordings: it can be made again."""
-        return self.package_version == __version__ and bool(self.settings.recordings)
+        versions = self.package_version, self.publish_version
+        return versions == (__version__, PUBLISH_VERSION) and bool(self.settings.recordings)
 
     def hides(self, recording: str) -> bool:
         """Whether the release holds back a recording's ground truth; False for a recording not in it."""

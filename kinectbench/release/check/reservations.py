@@ -26,7 +26,9 @@ def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
     if poor := [name for name, recording in info.recordings.items() if recording.poor]:
         clauses.append(f"published below its own limits: {printable(listed(poor), 300)}")
     if info.settings.recordings and not (info.of_this_version or checksums_only):
-        clauses.append(f"no text was written again: kinectbench {printable(info.package_version)} wrote them")
+        stage = "" if info.publish_version is None else f", publish version {info.publish_version},"
+        version = printable(info.package_version) + stage
+        clauses.append(f"no text was written again: kinectbench {version} wrote them")
     if info.benchmark_sha256_version is None:
         clauses.append(
             "its benchmark_sha256 is of version 1: of the files alone, not of what benchmark.json says"

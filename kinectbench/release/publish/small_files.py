@@ -10,6 +10,7 @@ from kinectbench.core import package_version, pretty_json, read_plain_text, sha2
 from kinectbench.core.artefacts.benchmark import (
     BENCHMARK_JSON,
     FORMAT_VERSION,
+    PUBLISH_VERSION,
     SHA256_VERSION,
     UNSPECIFIED,
     Distribution,
@@ -178,6 +179,7 @@ def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
         license=head.license,
         format_version=FORMAT_VERSION,
         package_version=__version__,
+        publish_version=PUBLISH_VERSION,
         benchmark_sha256="0" * 64,
         benchmark_sha256_version=SHA256_VERSION,
         framing=head.framing,
