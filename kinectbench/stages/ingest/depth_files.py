@@ -54,7 +54,7 @@ READ_EXR = "OpenEXR.File({f}, separate_channels=True).channels().popitem()[1].pi
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 # Errors of h5py on damaged files: by its documentation only OSError, KeyError and ValueError; RuntimeError
 # for unknown problems of the library.
-DAMAGED = (OSError, KeyError, ValueError, RuntimeError, TypeError)
+DAMAGED = (OSError, KeyError, ValueError, RuntimeError, TypeError, OverflowError)
 
 
 def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) -> UInt16 | Float32:

@@ -127,7 +127,7 @@ class Intrinsics:
     def _if_resized(self, declared: tuple[int, int], size_px: tuple[int, int]) -> str:
         """Return the end of an error message: the values scaled to the images; "" if the shapes differ."""
         across, down = (px / said for px, said in zip(size_px, declared, strict=True))
-        if abs(across / down - 1) > SAME_SHAPE:
+        if 0 in size_px or abs(across / down - 1) > SAME_SHAPE:  # a damaged image may state no height
             return ""
         return f"; if they differ in size only, scaled to these: {self.scaled_line(across)}"
 

@@ -12,7 +12,7 @@ from ingest_writers import CX, CY, FX, FY, HEIGHT, WIDTH, png, write_folder
 from kinectbench.core.errors import RecordingError
 from kinectbench.doctor import inspect
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import ratio_by_centre
+from kinectbench.stages.ingest.intrinsics import Intrinsics, ratio_by_centre
 from kinectbench.stages.ingest.readers import open_recording
 
 
@@ -44,6 +44,13 @@ def test_a_stated_size_that_is_not_the_images_gives_the_scaled_values(tmp_path: 
     with pytest.raises(RecordingError, match="if they differ in size only, scaled to these") as caught:
         open_recording(folder)
     assert is_right(folder, str(caught.value))
+
+
+def test_images_of_no_height_have_no_scale() -> None:
+    stated = Intrinsics(width=WIDTH, height=HEIGHT, fx=FX, fy=FY, cx=CX, cy=CY)
+    with pytest.raises(RecordingError) as caught:
+        stated.camera((WIDTH, 0), Path("r"))
+    assert "scaled to these" not in str(caught.value)
 
 
 def test_a_principal_point_outside_the_images_gives_the_scaled_values(tmp_path: Path) -> None:

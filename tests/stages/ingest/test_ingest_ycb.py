@@ -12,6 +12,8 @@ from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.depth_files import hdf5_arrays
+from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import format_of, open_recording
 
 h5py = pytest.importorskip("h5py", reason="needs kinectbench[ycb]")
@@ -180,6 +182,16 @@ def test_cut_and_changed_bytes_end_in_one_line(tmp_path: Path) -> None:
             recording.frame(1)
         except RecordingError as error:
             assert "\n" not in str(error)
+
+
+def test_an_address_beyond_all_memory(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["depth"] = np.arange(3.0)
+    data = (tmp_path / "a.h5").read_bytes()
+    # The address of the file's end, as its superblock states it.
+    damaged = data[:41] + (1 << 62).to_bytes(8, "little") + data[49:]
+    with pytest.raises(DamagedImageError, match="damaged"):
+        hdf5_arrays(damaged, "a.h5", ["depth"], 10)
 
 
 def test_without_the_library_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
