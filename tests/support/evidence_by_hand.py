@@ -15,7 +15,7 @@ NO_MESH = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 def evidence_of(shape: tuple[int, int, int], **given: Any) -> VoxelEvidence:
     """Nothing is said of any voxel but what is given; there is no plane."""
     no = np.zeros(shape, bool)
-    masks = ("observed", "free", "near_surface", "excluded", "unseen", "closed", "underside")
+    masks = ("observed", "free", "near_surface", "blurred", "excluded", "unseen", "closed", "underside")
     fields: dict[str, Any] = {
         "signed_m": np.zeros(shape, np.float32),
         "sight": np.zeros(shape, np.uint8),
