@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core import PredictionError, SettingsError
 from kinectbench.core.artefacts.counted import PairResult
+from kinectbench.core.artefacts.provenance import nearest_step
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.voxels.resample import HALF_PIXEL
@@ -27,7 +28,6 @@ from kinectbench.scoring.shards import decode_sample as decode_sample
 from kinectbench.scoring.thresholds import (
     STEPS_IN_WORDS,
     Thresholds,
-    nearest_step,
     searched_thresholds,
     thresholds_for,
 )

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.counted import Tally
+from kinectbench.core.artefacts.provenance import STEPS, THRESHOLD_STEPS
 from kinectbench.core.artefacts.score_figures import VoxelMetrics
 from kinectbench.core.types import Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unpack
@@ -22,8 +23,6 @@ from kinectbench.scoring.truth import PackedTruth
 
 Prediction = NDArray[np.bool_] | NDArray[np.float16] | NDArray[np.float32]
 
-STEPS = 20
-THRESHOLD_STEPS = tuple(range(2, 19))
 THRESHOLDS = tuple(k / STEPS for k in THRESHOLD_STEPS)
 CE_CLIP = 1e-7
 

@@ -6,9 +6,10 @@ from typing import Any
 
 from kinectbench.core import PredictionError, listed, printable
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
+from kinectbench.core.artefacts.provenance import nearest_step
 from kinectbench.release.release import Release
 from kinectbench.scoring.mesh_prediction import MESHES
-from kinectbench.scoring.thresholds import STEPS_IN_WORDS, nearest_step
+from kinectbench.scoring.thresholds import STEPS_IN_WORDS
 
 # Values that method.json may declare for predictions in the pair's grid, by key. For predictions in the
 # camera frame every value of the file's format is supported.

@@ -10,9 +10,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.provenance import STEPS
 from kinectbench.core.types import Arrays
 from kinectbench.core.voxels.pair_file import FULL_CELLS
-from kinectbench.scoring.counts import CE_CLIP, STEPS, THRESHOLDS, Prediction
+from kinectbench.scoring.counts import CE_CLIP, THRESHOLDS, Prediction
 
 # Arrays of these names mark a packed prediction.
 CODES, LEVELS = "codes", "levels"

@@ -8,6 +8,7 @@ from typing import Literal
 
 from kinectbench.core import KinectBenchError, ReleaseError
 from kinectbench.core.artefacts.counted import PairResult
+from kinectbench.core.artefacts.provenance import nearest_step
 from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.store.address import shown
 from kinectbench.core.types import Progress
@@ -16,7 +17,7 @@ from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.pair_result import Counting, Journal, PairJob, count_job
 from kinectbench.scoring.predictions import FoundPredictions, find_predictions, missing_line
-from kinectbench.scoring.thresholds import Thresholds, nearest_step, searched_thresholds, thresholds_for
+from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.workers import run_tasks
 
 Missing = Literal["error", "empty"]

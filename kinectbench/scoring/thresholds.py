@@ -9,9 +9,9 @@ import numpy as np
 
 from kinectbench.core import ReleaseError, SettingsError, decoded, read_plain
 from kinectbench.core.artefacts.counted import Tally
-from kinectbench.core.artefacts.provenance import ThresholdsFile
+from kinectbench.core.artefacts.provenance import ThresholdsFile, nearest_step
 from kinectbench.release.release import Target
-from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, ious, protocol_counts
+from kinectbench.scoring.counts import THRESHOLDS, ious, protocol_counts
 
 FIXED = 0.5
 # Sources of a threshold; after "file:" follows the file's SHA-256. "pooled": searched on the validation pairs
@@ -195,8 +195,3 @@ def _step(value: float, where: str) -> float:
             f"{where} is {value!r}: it must be one of {STEPS_IN_WORDS}", what="bad-thresholds"
         )
     return step
-
-
-def nearest_step(value: float) -> float | None:
-    """Return the threshold k / 20, k = 2 to 18, that equals a number up to rounding; None if none does."""
-    return next((k / STEPS for k in THRESHOLD_STEPS if abs(value - k / STEPS) <= 1e-9), None)

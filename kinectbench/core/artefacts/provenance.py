@@ -88,6 +88,15 @@ class Privacy(ReleaseFile):
     kept: tuple[str, ...] = Field(description="what is published knowingly")
 
 
+# A threshold is k / 20, with k from 2 to 18.
+STEPS, THRESHOLD_STEPS = 20, tuple(range(2, 19))
+
+
+def nearest_step(value: float) -> float | None:
+    """Return the threshold k / 20, k = 2 to 18, that equals a number up to rounding; None if none does."""
+    return next((k / STEPS for k in THRESHOLD_STEPS if abs(value - k / STEPS) <= 1e-9), None)
+
+
 class ThresholdsFile(ReleaseFile):
     """The content of thresholds.json: the frozen thresholds of a method."""
 

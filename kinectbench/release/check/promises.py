@@ -22,6 +22,7 @@ from kinectbench.core.artefacts.provenance import (
     Privacy,
     Removed,
     ThresholdsFile,
+    nearest_step,
 )
 from kinectbench.core.artefacts.targets import TARGETS_CSV, Target
 from kinectbench.core.geometry import parse_ply
@@ -46,8 +47,6 @@ ESTIMATES = ("estimated_iou", "estimated_known_iou")
 SAID = ("source", "license", "publish", "files", "left_out", "poor", "accepted")
 # Chunks of a PNG file that hold texts, times or EXIF: PNG (third edition), section 11.3.
 PNG_HEAD_BYTES, PNG_TEXTS, PNG_END = 8, (b"tEXt", b"zTXt", b"iTXt", b"eXIf", b"tIME"), b"IEND"
-# Thresholds are k / 20.
-STEPS, FEWEST, MOST = 20, 2, 18
 
 
 def promise_problems(
@@ -187,5 +186,5 @@ def _threshold_problems(contents: Contents, targets: Sequence[Target]) -> Iterat
     for category in sorted({target.category for target in test} - file.thresholds.keys()):
         yield f"{THRESHOLDS_JSON}: no threshold for {category}"
     for category, value in file.thresholds.items():
-        if value not in [step / STEPS for step in range(FEWEST, MOST + 1)]:
+        if nearest_step(value) is None:
             yield f"{THRESHOLDS_JSON}: {value:g} of {printable(category)} is not one of 0.1, 0.15, … 0.9"

@@ -18,6 +18,7 @@ LOOSE_KEYS = frozenset({"K", "k", "intrinsics"})
 YAML_DISTORTIONS = ("distortion_coefficients", "distortion_coeffs", "distortion", "dist_coeffs", "D", "d")
 # ORB-SLAM's k1, k2, p1, p2.
 YAML_POLYNOMIAL = re.compile(r"^[ \t]*Camera\d?\.[kp]\d[ \t]*:[ \t]*([-+.\deE]{1,30})", re.MULTILINE)
+# ROS's camera_info: numbers of more digits are no image's size.
 YAML_SIZE = re.compile(r"^image_(width|height):\s*(\d{1,6})\s*$", re.MULTILINE)
 # Keys of focal lengths in ORB-SLAM (Camera.fx) and many other programs.
 YAML_FOCAL = re.compile(
