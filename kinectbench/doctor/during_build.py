@@ -14,7 +14,8 @@ from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.lengths import LENGTHS, check_lengths
 from kinectbench.doctor.pose_delay import check_trajectory_delay
 from kinectbench.doctor.probe import Probe, ProbeBuilder, frames_to_read, probe_recording
-from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
+from kinectbench.doctor.still import check_still, with_objects_poses
+from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory, fits_no_better
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 # Findings that make everything built with the poses wrong, if they stop.
@@ -107,12 +108,12 @@ class OffsetWatch:
         self._gathering.take(index, frame)
 
     def warnings(self) -> list[str]:
-        """Return one line for each clock offset and fault of the camera found, with the setting for it."""
+        """Return one line, with its setting, for each clock offset, camera fault and turning object."""
         reported = (finding for finding in self._findings if finding.severity == "warning")
         return [
             f"{finding.where}: {finding.what}; {finding.advice}"
             for finding in reported
-            if finding.name in {"color_drift", *OF_CAMERA} or "delay_s" in finding.advice
+            if finding.name in {"color_drift", "turntable", *OF_CAMERA} or "delay_s" in finding.advice
         ]
 
     def camera_faults(self) -> list[str]:
@@ -131,6 +132,8 @@ class OffsetWatch:
         yield from list(check_color_drift(probe)) or check_color_delay(probe)
         fit = fit_trajectory(probe)
         yield from _of_intrinsics(probe, fit)
+        if fit is not None and fits_no_better(fit):
+            yield from with_objects_poses([each for each in check_still(probe) if each.name == "turntable"])
         # Poses in another convention fit at no delay; `track` reports the convention, over all frames.
         if fit is not None and given is not None and not fit.convention.changes:
             late = list(check_trajectory_delay(probe, given, fit.convention, fit.pairs))

@@ -30,8 +30,14 @@ from kinectbench.doctor.floor import Ground, check_floor, seen_floor
 from kinectbench.doctor.grade import check_grade
 from kinectbench.doctor.lengths import LENGTHS
 from kinectbench.doctor.probe import Probe, probe_recording
-from kinectbench.doctor.still import NO_MOTION, check_still
-from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory, shows_motion
+from kinectbench.doctor.still import NO_MOTION, check_still, with_objects_poses
+from kinectbench.doctor.trajectory import (
+    PoseFit,
+    check_trajectory,
+    fit_trajectory,
+    fits_no_better,
+    shows_motion,
+)
 from kinectbench.settings.models import (
     CameraSettings,
     FusionSettings,
@@ -180,7 +186,9 @@ def _examined(
     # Poses of a static camera fit equally well in every convention, so they prove nothing.
     still, edges, poses = [*check_still(probe)], fit_edges(probe), fit_trajectory(probe)
     if poses is not None and shows_motion(poses):
-        still = [finding for finding in still if finding.name not in NO_MOTION]
+        # Poses of a turning object fit what stands around it no better than none at all.
+        turns = fits_no_better(poses)
+        still = with_objects_poses(still) if turns else [f for f in still if f.name not in NO_MOTION]
     stands = any(finding.name in NO_MOTION for finding in still)
     poses = None if stands else poses
     code = [] if stands else list(check_codes(probe, poses))

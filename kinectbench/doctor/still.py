@@ -1,6 +1,7 @@
 """Detect a static camera, such as one in front of a turntable, and report it with advice."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ TURNTABLE = "put `segment_by: turntable` of the recording into benchmark.yaml if
 MASKS = "if it is carried about, give a mask of every frame and `segment_by: masks`"
 OWN_MASKS = "put `segment_by: masks` of the recording into benchmark.yaml: it brings masks of the object"
 WALK = "walk around the object, or let it turn"
+OBJECTS_POSES = "if the given poses are the object's, `trajectory: trust` uses them"
 # Findings about a static camera: all its poses are the same.
 NO_MOTION = frozenset({"one_view", "turntable"})
 # Poses of one place: their positions differ by less than this share of the median depth (our own bound).
@@ -44,6 +46,14 @@ def check_still(probe: Probe) -> Iterator[Finding]:
     elif watched.camera_still and not in_no_order(probe):
         has_masks = probe.recording.frame(probe.frames[0].index).mask is not None
         yield Finding("turntable", "warning", _what(watched), probe.where, _advice(has_masks))
+
+
+def with_objects_poses(still: list[Finding]) -> list[Finding]:
+    """Add to the advice about a turning object that the given poses, which move, may be the object's."""
+    return [
+        replace(each, advice=f"{each.advice}; {OBJECTS_POSES}") if each.name == "turntable" else each
+        for each in still
+    ]
 
 
 def wrong_at_one_place(probe: Probe) -> Iterator[Finding]:

@@ -5,10 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ingest_writers import jpeg, png, write_folder
+from ycb_replica import make_thing
 
 from kinectbench.doctor import inspect
+from kinectbench.doctor.during_build import OffsetWatch
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
+from kinectbench.stages.ingest.readers import open_recording
 
 # Of each finding, by its name.
 Advice = dict[str, str]
@@ -59,6 +62,21 @@ def test_nothing_is_said_once_it_is_said_in_the_settings(tmp_path: Path) -> None
 
 def test_a_camera_that_is_carried_around_is_none(tmp_path: Path) -> None:
     assert not NAMES & found(tmp_path, {}).keys()
+
+
+def test_poses_of_a_turning_object_are_not_those_of_another_recording(tmp_path: Path) -> None:
+    make_thing(tmp_path, "crate", "crate:seed=0")
+    advice, _ = advice_in(tmp_path / "crate")
+    assert "segment_by: masks" in advice["turntable"] and "trajectory: trust" in advice["turntable"]
+    assert (
+        "trajectory_wrong" not in advice and "trajectory_wrong" not in advice_in(tmp_path / "crate", True)[0]
+    )
+    recording = open_recording(tmp_path / "crate")
+    watch = OffsetWatch(recording)
+    for index in range(len(recording)):
+        if watch.wants(index):
+            watch.see(index, recording.frame(index))
+    assert any("segment_by: masks" in line for line in watch.warnings())
 
 
 def test_one_view_only(tmp_path: Path) -> None:
