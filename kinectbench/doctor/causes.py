@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from kinectbench.core.trajectory.pose_convention import PoseConvention
 from kinectbench.doctor.edges import EdgeFit
 from kinectbench.doctor.finding import Finding
-from kinectbench.doctor.fit import PoseConvention
 from kinectbench.doctor.pose_delay import FitsMoved
 from kinectbench.doctor.trajectory import PoseFit
 from kinectbench.stages.ingest.pairing import NamesDiffer

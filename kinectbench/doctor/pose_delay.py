@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.clock_offset import steps_to_vertex
+from kinectbench.core.trajectory.pose_convention import PoseConvention
 from kinectbench.doctor.covered import covered
 from kinectbench.doctor.delays import ASSUMED_HZ, LEAST_NS, clock_ns, offset_in_words
 from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import (
     FramePair,
-    PoseConvention,
     disagreements,
     fits,
     frames_of,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.coverage import covered_arc_rad, middle_depth_m
+from kinectbench.core.trajectory.pose_convention import PoseConvention
 from kinectbench.doctor.covered import MUCH_BETTER, Covered, covered
 from kinectbench.doctor.delays import clock_ns
 from kinectbench.doctor.depth import depth_quantiles_m, is_likely
@@ -17,7 +18,6 @@ from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import (
     MOST_FITTING_M,
     FramePair,
-    PoseConvention,
     choose_pairs,
     disagreements,
     fits,
@@ -33,13 +33,11 @@ from kinectbench.doctor.still import wrong_at_one_place
 from kinectbench.stages.ingest.depth_codes import ROTATED_SCALES
 from kinectbench.stages.ingest.readers.pose_files import TUM_ROWS, named_like_poses
 
-# Another convention is accepted only if it lowers the disagreement, or the residual of poses that fit as
-# given, to this ratio.
+# Another convention must lower the disagreement, or the residual of poses that fit as given, to this ratio.
 BETTER = 0.87
 # A convention with more changes must lower the disagreement of a simpler one to this ratio.
 SIMPLER = 0.97
-# Frame pairs with a larger disagreement in every convention show different surfaces; fewer pairs are not
-# judged.
+# Frame pairs that disagree more in every convention show different surfaces; fewer pairs are not judged.
 HOPELESS, LEAST_PAIRS = 0.6, 3
 # If no likely convention lowers the disagreement of a static camera to this ratio, further ones are tried.
 CLEARLY_BETTER = 0.8
@@ -363,7 +361,9 @@ def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
             f"the given poses do not fit the depth as they are, but do if read as: {fit.convention.text()} "
             f"(residual {1000 * fit.residual_m:.1f} mm)"
         )
-        name, advice = "trajectory_reading", "write them again so, or `trajectory: ignore`"
+        line = fit.convention.setting()
+        read_so = f"put `camera: {line}` into benchmark.yaml" if line else "write them again so"
+        name, advice = "trajectory_reading", f"{read_so}, or `trajectory: ignore`"
         if fit.convention.changes == 1 and fit.convention.unit_m != 1:
             _, median_m, far_m = depth_quantiles_m(probe).tolist()
             scale = stated_scale(probe.recording) * fit.convention.unit_m
@@ -372,7 +372,7 @@ def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
             advice = f"or with `depth_scale: {scale:g}`, by which the median of the depth is {at_m:.2f} m"
             by_code = getattr(probe.recording, "depth_code", "plain") == "rotated"
             if is_likely(median_m, far_m) and not (by_code and scale in ROTATED_SCALES):
-                name, advice = "trajectory_scale", "write the poses in metres"
+                name, advice = "trajectory_scale", read_so
         if fit.convention.images == "mirrored":
             name, advice = "mirrored_images", "mirror depth and colour back, and cx with them"
         if fit.convention.images == "y_up":

@@ -42,7 +42,7 @@ COMPARED_FILES = 32
 # simple shapes. It misses changes that need other formats, scenes or settings.
 # First the stages of a build; then candidate boxes, releases, synthetic models, score tables, and baselines.
 VERSIONS: dict[str, int] = {
-    "ingest": 23,
+    "ingest": 24,
     "track": 16,
     "fuse": 7,
     "segment": 62,

@@ -21,6 +21,7 @@ from kinectbench.settings.base import Settings
 from kinectbench.settings.pick import PickSettings
 from kinectbench.settings.publishing import PublishSettings, ReviewSettings
 from kinectbench.settings.texts import Line
+from kinectbench.settings.trajectory_reading import TrajectoryReading
 
 TrajectoryMode = Literal["trust", "refine", "ignore"]
 SegmentBy = Literal["masks", "turntable"]
@@ -32,8 +33,7 @@ Vector7 = Annotated[Pose, Field(strict=False)]
 FARTHEST_M, LEAST_TURN = 1e6, 1e-6
 # Seconds, twice from 1970 to today: a clock may count from its start. Added to a stamp it fits 64 bits in ns.
 MOST_DELAY_S = 4e9
-# Depth up to this range is always fused, unless a person sets less: it contains most furniture (the rules for
-# solids were chosen with it).
+# Depth up to this range is always fused, unless a person sets less: rules for solids were chosen with it.
 LEAST_RANGE_M = 3.0
 UNDERSIDE = (
     f"closed: {CLOSED_MEANS}; open: {OPEN_MEANS}, as between a chair's aprons; unseen: nobody looked. Turn "
@@ -63,6 +63,7 @@ class CameraSettings(Settings):
     trajectory_delay_s: float = Field(
         0.0, ge=-MOST_DELAY_S, le=MOST_DELAY_S, description="how late given poses' stamps are, seconds"
     )
+    trajectory_reading: TrajectoryReading | None = Field(None, description="how given poses are stored")
     min_confidence: int = Field(2, ge=0, le=2, description="least confidence of an iPhone's depth")
     mask_object: int | None = Field(None, description="object of a BOP scene whose masks are read")
     sensor: str | None = Field(None, pattern="^NP[1-5]$", description="camera of YCB that is read")

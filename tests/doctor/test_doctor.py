@@ -12,11 +12,13 @@ from ingest_writers import BagWriter
 from numpy.typing import NDArray
 from raising import raises
 from read_pictures import read_picture
+from ruamel.yaml import YAML
 from slow import slow
 from small_benchmark import Run, small_spec
 from wrong_recordings import FURTHER, WRONG, make_wrong, rows_of, shortened
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.geometry import invert_rigid
 from kinectbench.doctor import Finding, inspect
 from kinectbench.doctor.during_build import likely_cause, refuse_hopeless
 from kinectbench.doctor.finding import Diagnosis, gravest_first
@@ -75,6 +77,32 @@ def test_what_is_wrong_is_named(name: str, tmp_path: Path) -> None:
     assert said and any(words in text for text in said), diagnosis.findings
     assert diagnosis.verdict != "usable"
     assert all("\n" not in found.what for found in diagnosis.findings)
+
+
+STORED = ("poses in millimetres", "inverse trajectory", "OpenGL axes", "wxyz quaternions")
+
+
+@pytest.mark.parametrize("name", [*STORED, pytest.param("inverse and OpenGL", marks=pytest.mark.slow)])
+def test_poses_in_another_convention_are_read_by_the_setting_offered(name: str, tmp_path: Path) -> None:
+    path = make_wrong(CHAIR, name, tmp_path / "stored", 24)
+    (stops,) = (found for found in inspect(path)[0].findings if found.severity == "stops")
+    offered = YAML(typ="safe").load(stops.advice.split("`")[1])["camera"]
+    camera = CameraSettings.model_validate(offered)
+    diagnosis, look = inspect(path, camera)
+    assert look is not None and not diagnosis.stops, diagnosis.findings
+    right, given = open_recording(CHAIR).given_trajectory, look.recording.given_trajectory
+    assert right is not None and given is not None
+    here = np.isin(right.stamps_ns, given.stamps_ns)
+    # A world that begins at another camera is the same up to one motion.
+    a, b = right.T_world_camera[here], given.T_world_camera[np.isin(given.stamps_ns, right.stamps_ns)]
+    np.testing.assert_allclose(invert_rigid(a[0]) @ a, invert_rigid(b[0]) @ b, atol=1e-4)
+
+
+def test_a_reading_of_poses_that_does_not_fit_is_to_be_taken_out(tmp_path: Path) -> None:
+    settings = CameraSettings.model_validate({"trajectory_reading": {"inverse": True}})
+    path = make_wrong(CHAIR, "OpenGL axes", tmp_path / "stored", 24)
+    advice = {found.name: found.advice for found in inspect(path, settings)[0].findings}
+    assert "take `trajectory_reading` out" in advice["trajectory_reading"]
 
 
 def write_bag(path: Path, cameras: tuple[str, ...], info: bool) -> Path:
@@ -316,5 +344,7 @@ def test_poses_in_millimetres_end_a_build_before_it_fuses(
     built = command(tmp_path, "build", "--jobs", "1")
     (error,) = (line for line in built.err.splitlines() if line.startswith("a: error:"))
     assert built.status == 1 and not (tmp_path / "build/a/reconstruction").exists()
-    assert "lengths 0.001 times as long" in error and "write the poses in metres" in error
-    assert error.index("in metres. What failed") < error.index("reaches to 1000 m")
+    assert (
+        "lengths 0.001 times as long" in error and "`camera: {trajectory_reading: {unit_m: 0.001}}`" in error
+    )
+    assert error.index("into benchmark.yaml. What failed") < error.index("reaches to 1000 m")

@@ -22,6 +22,7 @@ from kinectbench.stages.ingest.intrinsics import (
     gives_intrinsics,
     intrinsics_of_keys,
     of_matrix_numbers,
+    pinhole,
     read_color_calibration,
     read_intrinsics_json,
     read_intrinsics_matrix,
@@ -40,6 +41,7 @@ from kinectbench.stages.ingest.known_names import (
     is_like_poses,
     visible,
 )
+from kinectbench.stages.ingest.named_matrices import named_matrices
 
 JSON_FILES = (
     "intrinsics.json",
@@ -200,9 +202,7 @@ def named_like_intrinsics(path: Path) -> str:
 
     If a file holds cameras, each under a name, they are printed as benchmark.yaml would take them.
     """
-    if not path.is_dir():
-        return ""
-    files = [(file, _cameras_inside(path / file)) for file in _files_like(path, LIKE_INTRINSICS.fullmatch)]
+    files = _files_of_cameras(path)
     cameras = [each for _, inside in files for each in inside]
     if len(files) == MOST_NAMED and len({line for _, line in cameras}) == 1:  # one file for each frame
         cameras, files = cameras[:1], files[:1]
@@ -217,6 +217,17 @@ def named_like_intrinsics(path: Path) -> str:
     holding = [printable(str(file)) for file, inside in files if inside]
     hold = "holds" if len(holding) == 1 else "hold"
     return f"; {' and '.join(holding)} {hold} {held}: {which}: {lines}"
+
+
+def holds_camera(path: Path) -> bool:
+    """Whether a file in a folder holds a camera, of those that are named like intrinsics."""
+    return any(cameras for _, cameras in _files_of_cameras(path))
+
+
+def _files_of_cameras(path: Path) -> list[tuple[Path, list[tuple[str, str]]]]:
+    """Return the files of a folder that are named like intrinsics, and the cameras inside each."""
+    found = _files_like(path, LIKE_INTRINSICS.fullmatch) if path.is_dir() else []
+    return [(file, _cameras_inside(path / file)) for file in found]
 
 
 def _of_each_frame(path: Path) -> str:
@@ -244,7 +255,9 @@ def _cameras_inside(file: Path) -> list[tuple[str, str]]:
             raw = read_json_object(file, HELD, YAML_BYTES)
             raw = {file.stem: raw, **raw}
         elif file.suffix.lower() in TEXTS:
-            raw = {file.stem: _in_text(file)}
+            raw = {file.stem: _in_text(file)} | _under_titles(file)
+        elif file.suffix.lower() == ".npy":
+            raw = _under_titles(file)
     cameras = list[tuple[str, str]]()
     for name, value in raw.items():
         with suppress(RecordingError):  # of another kind, or no camera's numbers
@@ -266,6 +279,12 @@ def _in_text(file: Path) -> Intrinsics | None:
     K = of_matrix_numbers(parse_floats(words, str(file)), file)
     # A pose without rotation looks like a pinhole matrix, too, but with its principal point at 0, 0.
     return K if K is not None and K.cx and K.cy else None
+
+
+def _under_titles(file: Path) -> dict[str, object]:
+    """Return each 3x3 pinhole matrix of a text, by the title above it, or of an array, by its name."""
+    titled = ((" ".join(names), matrix) for names, matrix in named_matrices(file))
+    return {title: pinhole(K, file) for title, K in titled if K.shape == (3, 3)}
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:

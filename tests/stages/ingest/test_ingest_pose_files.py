@@ -129,11 +129,11 @@ def test_a_folder_of_poses_that_is_not_read_is_named(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "r")
     (folder / "pose").mkdir()
     for i in range(4):
-        np.save(folder / f"pose/{i:06d}.npy", np.eye(4))
+        (folder / f"pose/{i:06d}.json").write_text("{}")
     (folder / "extrinsics").mkdir()
     (folder / "extrinsics" / "20150118.txt").touch()  # SUN RGB-D's tilt of the camera
     (line,) = opened(folder).warnings
-    assert "extrinsics" not in line and "not read, by name poses: pose/000000.npy, pose/000001.npy" in line
+    assert "extrinsics" not in line and "not read, by name poses: pose/000000.json, pose/000001.json" in line
 
 
 def with_numbered_poses(tmp_path: Path, form: str, numbers: Sequence[int]) -> Path:

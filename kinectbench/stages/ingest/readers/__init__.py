@@ -112,7 +112,7 @@ def open_recording(
         for scale in (recording.depth_scale, settings.depth_scale or recording.depth_scale):
             _check_scale(path, scale)
         check_count(path, len(recording))
-        return _with_depth_code(_with_delays(_with_unused(recording, settings), settings), settings)
+        return _with_depth_code(_with_corrections(_with_unused(recording, settings), settings), settings)
     except OSError as error:
         raise RecordingError(
             f"{error.filename or path}: cannot be read ({error.strerror})", what="unreadable"
@@ -252,11 +252,13 @@ def _with_unused(recording: Recording, camera: CameraSettings) -> Recording:
     return replace(recording, warnings=(*recording.warnings, f"{recording.path}: {what}: remove it"))
 
 
-def _with_delays(recording: Recording, camera: CameraSettings) -> Recording:
-    """Subtract the settings' delay from the stamps of given poses; the reader has corrected colour itself."""
+def _with_corrections(recording: Recording, camera: CameraSettings) -> Recording:
+    """Apply the settings' delay and convention to given poses; the reader has corrected colour itself."""
     given, delay_ns = recording.given_trajectory, round(camera.trajectory_delay_s * NS_PER_S)
     if given is not None:
-        given = GivenTrajectory(given.stamps_ns - delay_ns, given.T_world_camera)
+        read = camera.trajectory_reading
+        poses = given.T_world_camera if read is None else read.convention().apply(given.T_world_camera)
+        given = GivenTrajectory(given.stamps_ns - delay_ns, poses)
     return replace(
         recording,
         given_trajectory=given,

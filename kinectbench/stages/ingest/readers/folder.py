@@ -66,13 +66,13 @@ from kinectbench.stages.ingest.readers.phone_images import ConfidenceRecording, 
 from kinectbench.stages.ingest.readers.pose_files import (
     POSE_FILES,
     POSE_FOLDERS,
+    named_poses,
     pose_file,
     pose_folder,
     read_log,
     read_pose_file,
     read_pose_folder,
     starts_like_a_log,
-    unread_poses,
     with_y_down,
 )
 from kinectbench.stages.ingest.recording import (
@@ -289,7 +289,7 @@ def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]
 def _read_trajectory(
     path: Path, stamps_ns: list[int], files: Sequence[FrameFiles], stems: Sequence[str]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    beside = visible(path, "*.log", "*.freiburg")
+    beside = visible(path, "*.log", "*.freiburg", "*.json", "*.txt")
     logs = sorted(file for file in beside if file.suffix.lower() == ".log" and starts_like_a_log(file))
     file = first_named(path, ("trajectory.txt", "trajectory.log")) or (logs[0] if len(logs) == 1 else None)
     names = (*(log.name for log in logs), *POSE_FILES)
@@ -301,6 +301,6 @@ def _read_trajectory(
         return read_pose_folder(path, files)
     in_one = file or pose_file(path, beside)
     if in_one is None:
-        return None, unread_poses(path)
+        return named_poses(path, beside, stamps_ns, stems)
     trajectory, warnings = read_pose_file(in_one, stamps_ns, stems)
     return trajectory, [*warnings, *passed_over(in_one, names)]

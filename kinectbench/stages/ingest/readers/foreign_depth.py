@@ -38,6 +38,7 @@ AS_READ = "as 16-bit PNG in mm, or as .npy in metres"
 CONVERT = f"write it {AS_READ}"
 # How to read the array `depth` of an HDF5 file, or else its first.
 HDF5 = '(lambda f: f[max(f, key="depth".__eq__)][:])(h5py.File({f}))'
+OPENCV_YAML = "cv2.FileStorage({f}, 0).getFirstTopLevelNode().mat()"
 # In Hypersim's names; its depth is the distance along the ray (github.com/apple/ml-hypersim).
 HYPERSIM = ".depth_meters."
 # Kind -> how to read a file {f} as an array in Python.
@@ -49,7 +50,11 @@ READ_BY = {
     ".hdf5": HDF5,
     ".csv": 'numpy.loadtxt({f}, delimiter=",")',
     ".txt": "numpy.loadtxt({f})",
+    ".yml": OPENCV_YAML,
+    ".yaml": OPENCV_YAML,
 }
+# OpenCV's matrices as text; a camera's file is much shorter than an image.
+MATRIX_TEXTS = frozenset({".yml", ".yaml"})
 # File or folder -> Python that writes it from the ARRAY of a .npz, with a row or an image for each frame.
 WRITTEN_BY = {
     "color/": (
@@ -267,7 +272,8 @@ def _by_kind(inside: Sequence[Path], *, of_depth: bool, named: bool) -> dict[str
             wanted = kind in ONLY_DEPTH or ((of_depth or is_named_depth(file.stem)) and kind not in BESIDE)
         else:
             wanted = kind in READ | BARE | POSSIBLY
-        if wanted and (kind not in TABLES or _is_table(file)):
+        of_matrices = kind in MATRIX_TEXTS and of_depth and file.stat().st_size >= LEAST_SIDE_PX**2
+        if of_matrices or (wanted and (kind not in TABLES or _is_table(file))):
             by_kind.setdefault(kind, []).append(file)
     return by_kind
 

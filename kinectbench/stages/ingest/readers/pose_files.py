@@ -13,17 +13,26 @@ from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
 from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_numbers, text_rows
-from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_from_matrices
+from kinectbench.core.trajectory.trajectory_file import (
+    TimedPose,
+    read_trajectory_file,
+    trajectory_from_matrices,
+    trajectory_from_poses,
+)
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER, frame_numbers
 from kinectbench.stages.ingest.intrinsics_files import names_like
 from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, is_like_poses, visible
+from kinectbench.stages.ingest.named_matrices import named_matrices, poses_by_frame, taken_for_poses
 from kinectbench.stages.ingest.recording import FrameFiles
 
 # Names of files with all poses, the first existing one is read: RTAB-Map and others, TUM, ICL and Replica.
 POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
-# Number of values in a row: stamp, position, quaternion and an id; matrix without and with its last row.
-WITH_ID, KITTI, MATRIX = 9, 12, 16
+# Number of values in a row: position and quaternion, alone or with stamp and id; matrix without and with its
+# last row.
+WITHOUT_STAMP, WITH_ID, KITTI, MATRIX = 7, 9, 12, 16
+# A file of this name is read only if it has a pose for each frame: it may be the pose of something else.
+LOOSE_POSES = "pose.txt"
 TUM_ROWS = "as TUM has it: t tx ty tz qx qy qz qw, camera to world"
 POSE_FOLDERS = ("pose", "poses")
 
@@ -39,6 +48,32 @@ def unread_poses(path: Path) -> list[str]:
     return (
         [f"{path}: no trajectory is read{beside}; write it as `trajectory.txt`, {TUM_ROWS}"] if beside else []
     )
+
+
+def named_poses(
+    path: Path, beside: Sequence[Path], stamps_ns: Sequence[int], stems: Sequence[str]
+) -> tuple[GivenTrajectory | None, list[str]]:
+    """Read poses from pose.txt, or under the names of the frames in a file, if there are no others.
+
+    Args:
+        path: the recording's folder.
+        beside: its visible files, at least its texts and JSON files.
+        stamps_ns: stamps of the frames, strictly increasing.
+        stems: names of the depth images without suffix.
+
+    Returns:
+        The trajectory (None if there are no such poses), and warnings.
+    """
+    loose = in_any_case(path, LOOSE_POSES)
+    if loose.is_file():
+        with suppress(RecordingError):
+            return read_pose_file(loose, stamps_ns, stems)
+    named = poses_by_frame(beside, stems)
+    if named is None:
+        return None, unread_poses(path)
+    matrices, file = named
+    trajectory, warnings = finite_trajectory(stamps_ns, matrices, str(file))
+    return trajectory, [taken_for_poses(file), *warnings]
 
 
 def pose_file(path: Path, beside: Sequence[Path]) -> Path | None:
@@ -61,8 +96,9 @@ def read_pose_file(
 
     A row of TUM belongs to the frame with its stamp. If the frames' own stamps are only counted, and there
     are as many rows as frames, rows and frames are matched in order. A row of RTAB-Map with an id belongs to
-    the frame with that number. Matrices (12 or 16 values in a row, or in rows of four) are in the order of
-    frames; with a number above each matrix, they belong to the frames with these indices, from 0.
+    the frame with that number. Rows without stamps (7 values), and matrices (12 or 16 values in a row, or in
+    rows of four), are in the order of frames; with a number above each matrix, they belong to the frames with
+    these indices, from 0.
 
     Args:
         file: text file in one of these layouts.
@@ -85,13 +121,10 @@ def read_pose_file(
     if lengths == {WITH_ID}:
         return trajectory_from_matrices(stamps_ns, _by_id(rows, stems), str(file))
     if lengths in ({KITTI}, {MATRIX}):
-        if len(rows) != len(stems):
-            raise RecordingError(
-                f"{file}: holds {len(rows)} poses for {len(stems)} frames: which pose is of which frame "
-                "cannot be determined; write one for each frame, in their order",
-                what="pose-count",
-            )
+        _check_count(file, len(rows), len(stems))
         return trajectory_from_matrices(stamps_ns, [_matrix(row, where) for where, row in rows], str(file))
+    if lengths == {WITHOUT_STAMP}:
+        return _without_stamps(rows, stamps_ns, file)
     trajectory, warnings = read_trajectory_file(file)
     frames_ns = np.array(stamps_ns, np.int64)
     if not counts_frames(frames_ns) or len(rows) != len(stems):
@@ -126,6 +159,27 @@ def with_y_down(given: GivenTrajectory, path: Path) -> tuple[GivenTrajectory, st
         "y is mirrored in given poses, and so in the world"
     )
     return replace(given, T_world_camera=mirror @ given.T_world_camera @ mirror), note
+
+
+def _check_count(file: Path, poses: int, frames: int) -> None:
+    if poses != frames:
+        raise RecordingError(
+            f"{file}: holds {poses} poses for {frames} frames: which pose is of which frame cannot be "
+            "determined; write one for each frame, in their order",
+            what="pose-count",
+        )
+
+
+def _without_stamps(
+    rows: Sequence[tuple[str, str]], stamps_ns: Sequence[int], file: Path
+) -> tuple[GivenTrajectory, list[str]]:
+    """Return the trajectory of rows `tx ty tz qx qy qz qw`, in the order of the frames, and warnings."""
+    _check_count(file, len(rows), len(stamps_ns))
+    timed = list[TimedPose]()
+    for stamp_ns, (where, row) in zip(stamps_ns, rows, strict=True):
+        numbers = parse_floats(row.translate(PUNCTUATION).split(), where)
+        timed.append(TimedPose(stamp_ns, tuple(numbers[:3]), tuple(numbers[3:]), where))
+    return trajectory_from_poses(timed, str(file))
 
 
 def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float64 | None]:
@@ -212,9 +266,14 @@ def read_log(file: Path, frames: int) -> list[Float64]:
 
 
 def pose_folder(path: Path) -> Path | None:
-    """Return the recording's folder with one text file per pose; None if there is no such folder."""
+    """Return the recording's folder with one text or array per pose; None if there is no such folder."""
     folders = in_order(path, POSE_FOLDERS)
-    return next((folder for folder in folders if folder.is_dir() and visible(folder, "*.txt")), None)
+    return next((folder for folder in folders if _pose_files(folder)), None)
+
+
+def _pose_files(folder: Path) -> list[Path]:
+    """Return a folder's texts, or its arrays if it has no texts."""
+    return visible(folder, "*.txt") or visible(folder, "*.npy")
 
 
 def read_pose_folder(
@@ -240,7 +299,8 @@ def read_pose_folder(
     if folder is None:
         return None, []
     place = np.eye(4) if T_camera_depth is None else T_camera_depth
-    poses = [in_any_case(folder, f"{frame.depth.stem}.txt") for frame in files]
+    suffix = _pose_files(folder)[0].suffix
+    poses = [in_any_case(folder, f"{frame.depth.stem}{suffix}") for frame in files]
     said = list[str]()
     if not any(pose.is_file() for pose in poses):
         poses, said = _poses_by_number(folder, [frame.depth.stem for frame in files])
@@ -257,7 +317,7 @@ def _poses_by_number(folder: Path, stems: Sequence[str]) -> tuple[list[Path], li
     There are no paths if the numbers do not match: both must begin with the same number, or one may count
     from 0, and the other from 1; and all frames must have a pose, or all poses a frame.
     """
-    files = visible(folder, "*.txt")
+    files = _pose_files(folder)
     of_frames, of_files = frame_numbers(stems), frame_numbers([file.stem for file in files])
     advice = "name each as its depth image is named"
     refused = f"{folder}: {len(files)} files of poses are of no frame, such as {printable(files[0].name)}"
@@ -297,7 +357,10 @@ def read_pose_matrix(file: Path, T_camera_depth: Float64) -> Float64 | None:
     """
     if not file.is_file():
         return None
-    numbers = read_numbers(file)
+    if file.suffix.lower() == ".npy":
+        numbers = [value for _, matrix in named_matrices(file) for value in matrix.ravel().tolist()]
+    else:
+        numbers = read_numbers(file)
     if len(numbers) not in (KITTI, MATRIX):
         raise GivenPosesError(
             f"{file}: holds {len(numbers)} numbers, not the 4x4 of a matrix: write 16 numbers, the matrix "

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core import IntrinsicsError, RecordingError, listed_paths, read_head
+from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, rigid_or_none, trajectory_from_matrices
@@ -25,8 +26,9 @@ from kinectbench.stages.ingest.intrinsics import (
     rig_calibration,
     scale_warnings,
 )
-from kinectbench.stages.ingest.known_names import first_file
-from kinectbench.stages.ingest.readers.pose_files import read_pose_matrix
+from kinectbench.stages.ingest.intrinsics_files import holds_camera, named_like_intrinsics
+from kinectbench.stages.ingest.known_names import first_file, visible
+from kinectbench.stages.ingest.readers.pose_files import named_poses, read_pose_matrix
 from kinectbench.stages.ingest.recording import (
     ColorCalibration,
     Evidence,
@@ -114,14 +116,10 @@ class SevenScenesRecording(FileRecording):
             rig, assumed = _default_rig(path, files, size_px, settings)
         elif settings.fx is None:
             check_focal_lengths(rig.depth, size_px, rig.file)
-        poses, T_rig_depth = [_beside(file, "pose.txt") for file in depth], rig.T_rig_depth
-        trajectory, warnings, error = read_given(
-            lambda: trajectory_from_matrices(
-                stamps_ns, [read_pose_matrix(file, T_rig_depth) for file in poses], str(path)
-            )
-        )
+        T_rig_depth = rig.T_rig_depth
+        trajectory, warnings, error = read_given(lambda: _read_poses(path, depth, stamps_ns, T_rig_depth))
         intrinsics = rig.depth.overridden_by(settings)
-        camera = intrinsics.camera(size_px, rig.file)
+        camera = intrinsics.camera(size_px, rig.file, named_like_intrinsics)
         registered = rig.registered or (rig.color is not None and rig.color.lies_on(camera))
         return cls(
             path=path,
@@ -199,9 +197,10 @@ def _default_rig(
 ) -> tuple[ScannetRig, list[str]]:
     """Return the camera of 7-Scenes, a Kinect (without intrinsics if the image size differs), and warnings.
 
-    The Kinect is assumed with a warning, unless the settings give intrinsics or this is 7-Scenes itself.
+    The Kinect is assumed with a warning, unless the settings give intrinsics or this is 7-Scenes itself; it
+    is not if another file holds a camera.
     """
-    if size_px != (KINECT.width, KINECT.height):
+    if size_px != (KINECT.width, KINECT.height) or holds_camera(path):
         return ScannetRig(path, Intrinsics()), []
     if gives_intrinsics(settings) or _marks_holes(files):
         return ScannetRig(path, KINECT), []
@@ -209,6 +208,18 @@ def _default_rig(
         f"{path}: has no intrinsics ({', '.join(MATRIX_FILES)}): those of 7-Scenes' Kinect are assumed "
         "(585, 585, 320, 240); if another camera recorded it, give its own under `camera:`"
     ]
+
+
+def _read_poses(
+    path: Path, depth: Sequence[Path], stamps_ns: Sequence[int], T_rig_depth: Float64
+) -> tuple[GivenTrajectory | None, list[str]]:
+    """Return the trajectory of the depth images from a file for each, or from one for all, and warnings."""
+    poses = [_beside(file, "pose.txt") for file in depth]
+    if not any(file.is_file() for file in poses):
+        stems = [file.name.partition(".")[0] for file in depth]
+        return named_poses(path, visible(path, "*.json", "*.txt"), stamps_ns, stems)
+    matrices = [read_pose_matrix(file, T_rig_depth) for file in poses]
+    return trajectory_from_matrices(stamps_ns, matrices, str(path))
 
 
 def _marks_holes(files: Sequence[FrameFiles]) -> bool:
