@@ -9,10 +9,10 @@ from ingest_writers import png
 
 from kinectbench.core.geometry import Camera, invert_rigid, rigid, rigid_from_twist
 from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.pose_convention import AXES
 from kinectbench.core.trajectory.trajectory_file import trajectory_text
 from kinectbench.core.types import Float64
 from kinectbench.doctor import inspect
-from kinectbench.doctor.fit import AXES
 from kinectbench.doctor.probe import probe_recording
 from kinectbench.doctor.still import NO_MOTION
 from kinectbench.doctor.trajectory import fit_trajectory, fits_no_better

@@ -8,9 +8,10 @@ from shutil import copytree, ignore_patterns
 import numpy as np
 import pytest
 
+from kinectbench.core.trajectory.pose_convention import PoseConvention
 from kinectbench.doctor import Diagnosis, inspect
 from kinectbench.doctor.during_build import likely_cause
-from kinectbench.doctor.fit import PoseConvention, fits
+from kinectbench.doctor.fit import fits
 from kinectbench.doctor.probe import probe_recording
 from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
 from kinectbench.lab.simulate.simulate import simulate
