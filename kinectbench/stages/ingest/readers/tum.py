@@ -1,5 +1,6 @@
 """TUM RGB-D folders: `depth.txt`, `rgb.txt`, optionally `groundtruth.txt`; depth in 1/5000 m."""
 
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -46,6 +47,13 @@ DEPTH_SCALE = 5000.0
 # Names of the lists, the first that exists is read: OpenLORIS also lists depth on the pixels of colour.
 DEPTH_LISTS, COLOR_LISTS = ("aligned_depth.txt", "depth.txt"), ("rgb.txt", "color.txt")
 BESIDE = ("groundtruth.txt", "accelerometer.txt")
+# Size and intrinsics of colour that the benchmark's page "File Formats" states; its recordings hold none.
+TUM_PX = (640, 480)
+TUM_STATES = (
+    "; if this is of the TUM benchmark, its page states for freiburg1 `{fx: 517.3, fy: 516.5, cx: 318.6, "
+    "cy: 255.3}`, freiburg2 `{fx: 520.9, fy: 521, cx: 325.1, cy: 249.7}`, freiburg3 `{fx: 535.4, fy: 539.2, "
+    "cx: 320.1, cy: 247.6}`"
+)
 # Value of `accelerometer_axes` in camera.json: accelerometer.txt has the optical axes of the depth camera.
 DEPTH_AXES = "depth"
 
@@ -97,7 +105,7 @@ class TumRecording(FileRecording):
         )
         files = with_masks(files, path)
         recorded, camera_file = find_intrinsics(path, settings, DEPTH_SCALE)
-        intrinsics = recorded.overridden_by(settings)
+        intrinsics, size_px = recorded.overridden_by(settings), first_depth_size(files)
         stored = DepthFormat.of(files, settings.depth_scale)
         up = _measured_up(path, camera_file, [ns for ns, _ in depth])
         trajectory, pose_warnings, error = read_given(lambda: _poses(path, len(depth) if why else None))
@@ -107,7 +115,7 @@ class TumRecording(FileRecording):
         return cls(
             path=path,
             places=files,
-            camera=intrinsics.camera(first_depth_size(files), path, named_like_intrinsics),
+            camera=intrinsics.camera(size_px, path, partial(_camera_hint, size_px)),
             depth_scale=stored.depth_scale or intrinsics.depth_scale or DEPTH_SCALE,
             float_scale=stored.float_scale,
             channels=stored.channels,
@@ -127,6 +135,12 @@ class TumRecording(FileRecording):
                 *unmatched_masks(path, files),
             ),
         )
+
+
+def _camera_hint(size_px: tuple[int, int], path: Path) -> str:
+    """Return the end of an error message on missing intrinsics: where they may stand."""
+    of_tum = size_px == TUM_PX and in_any_case(path, BESIDE[0]).is_file()
+    return named_like_intrinsics(path) or (TUM_STATES if of_tum else "")
 
 
 def _lists(path: Path) -> tuple[tuple[Path, Path], list[str]]:
