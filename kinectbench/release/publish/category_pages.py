@@ -1,10 +1,10 @@
 """Write pages categories/<category>.html of a release: a picture and the main values of every object."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.targets import Target, by_recording
 from kinectbench.core.images import data_uri
 from kinectbench.core.pages import render_page
@@ -20,40 +20,31 @@ STEP, QUALITY = 2, 75
 
 
 def category_texts(
-    folder: Path | None,
-    settings: BenchmarkSettings,
-    targets: Sequence[Target],
-    infos: Mapping[str, RecordingInfo],
-    held_back: Sequence[str],
-    isolated: Sequence[str] = (),
+    info: ReleaseInfo, settings: BenchmarkSettings, targets: Sequence[Target], folder: Path | None = None
 ) -> Iterator[tuple[str, str]]:
     """Yield (file, text) of each category's page. Isolated recordings are listed without a picture.
 
     Args:
-        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
+        info: content of benchmark.json.
         settings: the benchmark's settings.
         targets: every pair.
-        infos: {recording: its entry in benchmark.json}.
-        held_back: splits of which only inputs are published.
-        isolated: recordings of which a single view is published.
+        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
 
     Raises:
         PairError: a pair is damaged.
     """
-    of_recording = by_recording(targets)
-    for category in sorted({info.category for info in infos.values()}):
+    of_recording, infos = by_recording(targets), info.recordings
+    for category in sorted({each.category for each in infos.values()}):
         shown: list[dict[str, Any]] = [
             {
                 "name": name,
-                "info": info,
-                "held_back": info.split in held_back,
-                "picture": None
-                if name in isolated
-                else _picture(folder, of_recording[name][0], info.split in held_back),
-                "words": category_words(info),
+                "info": each,
+                "held_back": (hidden := info.hides(name)),
+                "picture": None if info.isolates(name) else _picture(folder, of_recording[name][0], hidden),
+                "words": category_words(each),
             }
-            for name, info in sorted(infos.items())
-            if info.category == category
+            for name, each in sorted(infos.items())
+            if each.category == category
         ]
         objects = len({part["info"].object for part in shown})
         page = {"settings": settings, "category": category, "parts": shown, "objects": objects}

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from kinectbench._version import __version__
 from kinectbench.core import listed
-from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.artefacts.benchmark import RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.targets import SPLITS, Target, by_recording
 from kinectbench.core.geometry import read_own_ply
@@ -48,38 +48,34 @@ CAPTIONS_HELD_BACK = ("depth and mask", "partial, as seen", "partial, from the r
 
 
 def preview_text(
-    folder: Path | None,
+    info: ReleaseInfo,
     settings: BenchmarkSettings,
     targets: Sequence[Target],
-    infos: Mapping[str, RecordingInfo],
     warnings: Sequence[str],
-    held_back: Sequence[str],
+    folder: Path | None = None,
     build: Path | None = None,
-    isolated: Sequence[str] = (),
 ) -> str:
     """Return the text of index.html; no isolated recording is pictured.
 
     Args:
-        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
+        info: content of benchmark.json.
         settings: the benchmark's settings.
         targets: every pair.
-        infos: {recording: its entry in benchmark.json}.
         warnings: the release's warnings, one line each.
-        held_back: splits of which only inputs are published.
+        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
         build: folder with scene meshes, which give objects their colours if colour is published.
-        isolated: recordings of which a single view is published.
 
     Raises:
         PairError: a pair is damaged.
         StorageError: a picture is damaged.
     """
-    of_recording = by_recording(targets)
+    of_recording, infos = by_recording(targets), info.recordings
     large = len(infos) > SHOWN
-    names = spread([name for name in infos if name not in isolated], SHOWN)
+    names = spread([name for name in infos if not info.isolates(name)], SHOWN)
     views = 1 if large else VIEWS
     scenes = build if settings.publish.color else None
     parts = [
-        _part(folder, scenes, name, infos[name], of_recording[name], infos[name].split in held_back, views)
+        _part(folder, scenes, name, infos[name], of_recording[name], info.hides(name), views)
         for name in names
     ]
     warnings_shown = warnings[:MOST_WARNINGS] if large else warnings
@@ -93,9 +89,9 @@ def preview_text(
         "pairs": len(targets),
         "warnings": warnings_shown,
         "more_warnings": len(warnings) - len(warnings_shown),
-        "categories": sorted({info.category for info in infos.values()}),
-        "held_back": ", ".join(held_back),
-        "isolated": listed(isolated),
+        "categories": sorted({each.category for each in infos.values()}),
+        "held_back": ", ".join(info.held_back),
+        "isolated": listed([name for name in info.isolated if info.isolates(name)]),
         "frames": FRAMES,
         "turns": any(part["turntable"] for part in parts),
         "package_version": __version__,

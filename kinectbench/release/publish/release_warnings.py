@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from kinectbench.core import listed
-from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.artefacts.benchmark import RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.targets import Target, by_recording
 from kinectbench.release.publish.attribution import reasons_against_distribution
 from kinectbench.release.publish.reconstruction_attack import attack_line
@@ -14,26 +14,20 @@ SHOWN_VIEWS = 6  # most views of a recording in a warning
 
 
 def release_warnings(
-    settings: BenchmarkSettings,
-    infos: Mapping[str, RecordingInfo],
-    targets: Sequence[Target],
-    of_gate: Iterable[str],
-    hold_back: Sequence[str],
-    isolates: bool,
+    info: ReleaseInfo, settings: BenchmarkSettings, targets: Sequence[Target], of_gate: Iterable[str]
 ) -> list[str]:
     """Return a release's warnings: possible harm first, then faults of the truth, then limits of its use.
 
     Args:
+        info: content of benchmark.json.
         settings: the benchmark's settings.
-        infos: {recording: its entry in benchmark.json}.
         targets: every pair.
         of_gate: the lines on recordings that are left out, poor, to review, or published twice.
-        hold_back: splits of which only inputs are published.
-        isolates: whether a single view is published of each object with held-back truth.
     """
+    infos = info.recordings
     return [
         *reasons_against_distribution(infos),
-        *gives_away(settings, infos, hold_back, isolates),
+        *gives_away(info, settings),
         *of_gate,
         *_of_quality(infos),
         *_unknown(targets),
@@ -41,18 +35,13 @@ def release_warnings(
     ]
 
 
-def gives_away(
-    settings: BenchmarkSettings, infos: Mapping[str, RecordingInfo], hold_back: Sequence[str], isolates: bool
-) -> Iterator[str]:
-    """Yield warnings on what a release may reveal: people in colour images, shapes that are held back.
-
-    The arguments are those of `release_warnings`.
-    """
+def gives_away(info: ReleaseInfo, settings: BenchmarkSettings) -> Iterator[str]:
+    """Yield warnings on what a release may reveal: people in colour images, shapes that are held back."""
     if settings.publish.color:
         yield "colour images are included: look through them for faces and people"
-    if hold_back and not isolates and (line := attack_line(infos)):
+    if info.held_back and not info.isolated and (line := attack_line(info.recordings)):
         yield line
-    if hold_back and settings.pairs.framing == "object":
+    if info.held_back and settings.pairs.framing == "object":
         yield (
             "with framing 'object' the cube of a held-back pair tells how long its shape is and where its "
             "middle lies: use `pairs: {framing: view}`"

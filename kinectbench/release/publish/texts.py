@@ -1,29 +1,15 @@
 """The texts of a release that follow from its other files: `publish` writes them, `verify` compares them."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.provenance import Lineage
 from kinectbench.core.artefacts.targets import Target
-from kinectbench.release.contents import (
-    CARD,
-    CHANGELOG,
-    CITATION,
-    CROISSANT,
-    DATACITE,
-    DATASHEET,
-    LICENSE,
-    PREVIEW,
-    READING,
-)
-from kinectbench.release.publish.attribution import (
-    changelog_text,
-    citation_text,
-    common_license,
-    license_text,
-)
-from kinectbench.release.publish.card import card, reading
+from kinectbench.release.contents import CHANGELOG, CROISSANT, DATACITE, DATASHEET, PREVIEW
+from kinectbench.release.publish.attribution import changelog_text
+from kinectbench.release.publish.card import RECORDED
 from kinectbench.release.publish.category_pages import category_texts
 from kinectbench.release.publish.croissant import described
 from kinectbench.release.publish.datacite import datacite, day_by
@@ -32,7 +18,7 @@ from kinectbench.release.publish.gate import gate_lines, left_out_line
 from kinectbench.release.publish.index_page import preview_text
 from kinectbench.release.publish.release_warnings import release_warnings
 from kinectbench.release.publish.same_frames import TWICE
-from kinectbench.release.publish.small_files import Head, about_release
+from kinectbench.release.publish.small_files import about_release, small_texts
 from kinectbench.settings.models import BenchmarkSettings
 
 
@@ -57,9 +43,7 @@ def stated_warnings(
         {name: each.look for name, each in infos.items() if each.look},
     )
     twice = [line[2:] for line in card_text.split("\n") if line.startswith("- ") and TWICE in line]
-    return release_warnings(
-        settings, info.recordings, targets, [*lines, *twice], info.held_back, bool(info.isolated)
-    )
+    return release_warnings(info, settings, targets, [*lines, *twice])
 
 
 def release_texts(
@@ -68,8 +52,10 @@ def release_texts(
     targets: Sequence[Target],
     warnings: Sequence[str],
     color: str,
+    folder: Path | None = None,
+    build: Path | None = None,
 ) -> Iterator[tuple[str, str]]:
-    """Yield (file, text) of the texts of a release of recordings; `NO_PICTURE` stands for each picture.
+    """Yield (file, text) of the texts of a release of recordings.
 
     Args:
         info: content of benchmark.json.
@@ -77,17 +63,14 @@ def release_texts(
         targets: every pair.
         warnings: the release's warnings, one line each.
         color: whether colour images are "left out", "published" or do not exist ("none").
+        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
+        build: folder with scene meshes, which give objects their colours if colour is published.
     """
-    infos, hold_back = info.recordings, info.held_back
-    license, bare = common_license(infos, info.license), info.isolated if hold_back else ()
-    yield CARD, card(info, targets, warnings, license)
-    yield DATASHEET, datasheet(settings, targets, infos, color, warnings, hold_back, info.isolated)
-    yield READING, reading(targets, hold_back)
+    yield from small_texts(info, targets, warnings, RECORDED, settings.publish.citation)
+    yield DATASHEET, datasheet(info, settings, targets, warnings, color)
     yield CHANGELOG, changelog_text(settings.publish.changelog, info.name)
-    yield LICENSE, license_text(info.name, license, infos)
-    yield CITATION, citation_text(settings.publish.citation, info.name, license)
-    yield PREVIEW, preview_text(None, settings, targets, infos, warnings, hold_back, isolated=bare)
-    yield from category_texts(None, settings, targets, infos, hold_back, bare)
+    yield PREVIEW, preview_text(info, settings, targets, warnings, folder, build)
+    yield from category_texts(info, settings, targets, folder)
 
 
 def release_facts(
@@ -102,8 +85,5 @@ def release_facts(
         lineage: content of lineage.json.
     """
     citation = settings.publish.citation
-    stated = info.settings.json_value()
-    head = Head(info.name, info.license, info.framing, info.partial_rule, stated, citation=citation)
-    license = common_license(info.recordings, info.license)
-    about = about_release(head, license, day_by(citation, lineage), warnings)
+    about = about_release(info, RECORDED, citation, day_by(citation, lineage), warnings)
     return {CROISSANT: described(about), DATACITE: datacite(about)}
