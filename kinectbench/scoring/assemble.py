@@ -119,7 +119,7 @@ def table_of(
         hashes={
             target.name: Hashes(truth=target.sha256, prediction=digests[target]) for target in sorted(digests)
         },
-        **vars(derived),
+        **derived,
     )
     return table.model_copy(update={"marks": marks_of(table)})
 

@@ -9,7 +9,7 @@ from typing import get_args
 from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_columns import MOST_ROWS_IN_SPACE
-from kinectbench.core.artefacts.score_figures import ScoreRow, ShapePart
+from kinectbench.core.artefacts.score_figures import InSpace, ScoreRow, ShapePart, fields_of
 from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
 from kinectbench.core.artefacts.targets import check_names
 from kinectbench.engine.artefact import VERSIONS
@@ -32,6 +32,7 @@ from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
 from kinectbench.scoring.workers import run_tasks
 
 F_SCORE_MM = (5.0, 10.0, 20.0)
+OF_SPACE = tuple(fields_of(InSpace))
 
 
 def score_in_camera(
@@ -209,18 +210,7 @@ def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[S
             coverage_shape=one.figures.coverage_shape,
             cells=result.cells,
             unknown_share=result.unknown_share,
-            part=one.part,
-            alignment=one.alignment,
-            hypotheses=one.hypotheses,
-            closed=one.closed,
-            calibration=one.calibration,
-            solid=one.solid,
-            predicted_unknown_share=one.predicted_unknown_share,
-            surface_unknown_share=one.figures.surface_unknown_share,
-            cut=one.cut,
-            silhouette=one.silhouette,
-            ceiling=one.figures.ceiling,
-            as_papers=one.figures.as_papers,
+            **{name: getattr(one if hasattr(one, name) else one.figures, name) for name in OF_SPACE},
         )
         for one in result.rows
     ]

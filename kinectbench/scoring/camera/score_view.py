@@ -39,21 +39,11 @@ Asked = tuple[str, str | None]
 class Scored:
     """Scores of one part of a view under one protocol: the values of a row of the table.
 
+    Other attributes are those of `InSpace`; each is None where there is no such value.
+
     Attributes:
         protocol: camera or aligned.
-        part: whole, visible or occluded.
         figures: metrics of the part.
-        alignment: the registration under `aligned`; None under `camera`.
-        solid: whether the prediction had an inside before it was closed; None if there is no prediction.
-        predicted_unknown_share: share of the predicted surface that lies in unknown space.
-        cut: share of the known true shape outside the volume that the method covers; None without such a
-            volume.
-        silhouette: share of the predicted surface that projects outside the mask; None if there is no mask.
-        hypotheses: how the row combines several predictions of the view; None for the row of a single
-            prediction.
-        closed: the value of `--close` by which an open mesh or points were made solid; None if they were not.
-        calibration: how well the votes of several predictions for solid cells are calibrated; None without
-            votes.
         open_because: why a mesh is not closed, in words; "" if it is closed, or no mesh.
     """
 
