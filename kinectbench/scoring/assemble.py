@@ -63,9 +63,10 @@ def make_table(
     if failures:
         what = f"{len(failures)} predictions could not be scored"
         warnings.append(f"incomplete: {what}, so there are no averages")
-    return table_of(
+    table = table_of(
         release, method, rows, digests, thresholds, failures, settings, empty, warnings=warnings, rates=used
     )
+    return table.model_copy(update={"verified": None})  # the key is written
 
 
 def table_of(
