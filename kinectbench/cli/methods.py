@@ -141,12 +141,12 @@ def predict_command(
         console.lines(trained.config.name, [line], "yellow")
 
     if score:
-        how = run_of(trained, benchmark, threshold, chosen, where)
-        return _score(common, trained, benchmark, how, splits, surface, out or common.beside("scores"), where)
+        how = run_of(trained, benchmark, threshold, chosen)
+        return _score(common, trained, benchmark, how, splits, surface, out or common.beside("scores"))
     for line in notes(trained, benchmark):
         say(line)
     failed = list[str]()
-    how_to: dict[str, Any] = {"threshold": threshold, "precision": chosen, "splits": splits, "device": where}
+    how_to: dict[str, Any] = {"threshold": threshold, "precision": chosen, "splits": splits}
     with progress_bar(f"predict {trained.config.name}") as progress:
         how_to |= {"progress": progress, "say": say, "failed": failed.append}
         written = run(trained, benchmark, out or common.beside("predictions"), **how_to)
@@ -171,7 +171,6 @@ def _score(
     splits: "Sequence[Split]",
     surface: bool,
     folder: Path,
-    device: str,
 ) -> int:
     """Do the work of `predict --score`: predict and score in memory, then write the same files as `score`."""
     from kinectbench.cli.report import write_page
@@ -183,16 +182,14 @@ def _score(
     from kinectbench.report.gallery import loaded_cells
 
     with progress_bar(f"predict and score {trained.config.name}") as progress:
-        table = score_predicted(
-            trained, release, run, splits=splits, surface=surface, device=device, progress=progress
-        )
+        table = score_predicted(trained, release, run, splits=splits, surface=surface, progress=progress)
     tell_problems([table])
     table.write(folder)
     with progress_bar("gallery") as progress:
         # The few views that a page shows are predicted again: all predictions would not fit in memory.
         cells = loaded_cells(
             release,
-            lambda target: as_written(trained, release, run, target, device),
+            lambda target: as_written(trained, release, run, target),
             table,
             progress=progress,
         )

@@ -58,7 +58,7 @@ def reproduce_command(
     for name in packaged_methods():
         trained = open_trained(PACKAGED / name, where)
         with progress_bar(f"predict {name}") as progress:
-            predict(trained, release, folder / "predictions", device=where, progress=progress)
+            predict(trained, release, folder / "predictions", progress=progress)
     with progress_bar("score") as progress:
         tables = score_methods(
             release,
