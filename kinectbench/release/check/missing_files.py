@@ -33,6 +33,9 @@ from kinectbench.release.publish.schemas import schema_texts
 
 MISSING = "{}: missing, a release of recordings has it"
 TEXTS = (CARD, DATASHEET, READING, CHANGELOG, LICENSE, CITATION, PREVIEW, CROISSANT, DATACITE)
+# Which release has a file: every one of recordings, as pairs are checked by it; every one of this version; or
+# it is reported elsewhere if it is missing.
+EVERY, NEW, OTHER = range(3)
 
 
 def missing_files(metadata: ReleaseInfo, targets: Sequence[Target], names: Collection[str]) -> Iterator[str]:
@@ -51,18 +54,16 @@ def missing_files(metadata: ReleaseInfo, targets: Sequence[Target], names: Colle
     stated = metadata.settings.recordings or metadata.settings.views
     if not stated and not any(name.startswith("views/") and name.endswith(".png") for name in names):
         return  # models and imported pairs have no recorded object
-    wanted = list(_of_objects(metadata))
-    if metadata.of_this_version:
-        wanted += _of_this_version(metadata, targets, names)
-    for name in wanted:
-        if name not in names:
+    needed = NEW if metadata.of_this_version else EVERY
+    for name, kind in sorted(own_files(metadata, targets, names).items(), key=lambda item: item[1]):
+        if kind <= needed and name not in names:
             yield MISSING.format(printable(name, 200))
 
 
 def own_files(
-    metadata: ReleaseInfo, targets: Sequence[Target], names: Collection[str], color: bool
-) -> set[str]:
-    """Return the names of all files that a release of this version may have.
+    metadata: ReleaseInfo, targets: Sequence[Target], names: Collection[str], color: bool = False
+) -> dict[str, int]:
+    """Return {file: EVERY, NEW or OTHER} of all files that a release of this version may have.
 
     Args:
         metadata: content of benchmark.json.
@@ -70,14 +71,23 @@ def own_files(
         names: the names of the release's files; a schema is stored only of files that are there.
         color: whether the views' colour images are published.
     """
-    own = {*_of_objects(metadata), *_of_this_version(metadata, targets, names)}
-    own |= {BENCHMARK_JSON, SHA256SUMS, TARGETS_CSV, THRESHOLDS_JSON}
-    own |= {f"objects/{name}{GLB}" for name in metadata.recordings if metadata.has_solid(name)}
+    schemas = (name for name, _ in schema_texts(names, columns_of(targets)))
+    files = dict.fromkeys((*TEXTS, LINEAGE_JSON, PRIVACY_JSON, SPLITS_JSON, *schemas), NEW)
+    files |= dict.fromkeys((BENCHMARK_JSON, SHA256SUMS, TARGETS_CSV, THRESHOLDS_JSON), OTHER)
+    for name, info in metadata.recordings.items():
+        folder, isolates = f"objects/{name}", metadata.isolates(name)
+        if metadata.has_solid(name):
+            files |= {**{f"{folder}/{file}": EVERY for file in OBJECT_FILES}, f"{folder}{GLB}": OTHER}
+        new = [f"{CATEGORIES}/{info.category}.html", f"{SPLIT_TARGETS}/{info.split}.csv"]
+        new += [] if isolates else [f"{PREVIEWS}/{info.split}/{ROWS}", f"{folder}/{FloorFile.FILE}"]
+        new += [] if metadata.hides(name) else [f"{folder}/{QualityFile.FILE}"]
+        files |= dict.fromkeys([*new, f"views/{name}/{ViewsFile.FILE}"], NEW)
     for target in targets:
         view = f"views/{target.recording}/{target.view}"
-        own |= {target.file, *(f"{view}{end}" for end in (*VIEW_IMAGES, *([COLOR] if color else ())))}
-        own.add(f"{PREVIEWS}/{target.split}/{row_picture(target)}")
-    return own
+        images = [f"{view}{end}" for end in (*VIEW_IMAGES, *([COLOR] if color else ()))]
+        picture = f"{PREVIEWS}/{target.split}/{row_picture(target)}"
+        files |= dict.fromkeys([target.file, picture, *images], OTHER)
+    return files
 
 
 def hidden_files(metadata: ReleaseInfo, names: Collection[str]) -> Iterator[str]:
@@ -90,29 +100,3 @@ def hidden_files(metadata: ReleaseInfo, names: Collection[str]) -> Iterator[str]
         pictured = parts[2] if parts[0] == PREVIEWS and len(parts) > 2 else ""
         if metadata.isolates(owner if is_floor and parts[0] == "objects" else pictured):
             yield f"{name}: of a recording of which one view alone is published"
-
-
-def _of_objects(metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield the meshes and volumes of the objects whose truth is a published solid."""
-    for recording in metadata.recordings:
-        if metadata.has_solid(recording):
-            yield from (f"objects/{recording}/{file}" for file in OBJECT_FILES)
-
-
-def _of_this_version(
-    metadata: ReleaseInfo, targets: Sequence[Target], names: Collection[str]
-) -> Iterator[str]:
-    """Yield the other files of a release that this version published."""
-    yield from (*TEXTS, LINEAGE_JSON, PRIVACY_JSON, SPLITS_JSON)
-    yield from (name for name, _ in schema_texts(names, columns_of(targets)))
-    infos = metadata.recordings.values()
-    yield from sorted({f"{CATEGORIES}/{info.category}.html" for info in infos})
-    yield from sorted({f"{SPLIT_TARGETS}/{info.split}.csv" for info in infos})
-    shown = {info.split for name, info in metadata.recordings.items() if not metadata.isolates(name)}
-    yield from (f"{PREVIEWS}/{split}/{ROWS}" for split in sorted(shown))
-    for recording in metadata.recordings:
-        yield f"views/{recording}/{ViewsFile.FILE}"
-        if not metadata.isolates(recording):
-            yield f"objects/{recording}/{FloorFile.FILE}"
-        if not metadata.hides(recording):
-            yield f"objects/{recording}/{QualityFile.FILE}"

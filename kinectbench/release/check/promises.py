@@ -67,13 +67,16 @@ def promise_problems(
         stated = Privacy.parse(contents.text(PRIVACY_JSON), PRIVACY_JSON)
         lineage = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
         known = own_files(metadata, targets, contents.entries, stated.color == "published")
-        for name in sorted(contents.entries.keys() - known):
+        for name in sorted(contents.entries.keys() - set(known)):
             yield f"{printable(name, 200)}: no file of a release; take it out"
         for target in targets:
             if target.unknown_share is None and metadata.has_solid(target.recording):
                 yield f"{TARGETS_CSV}: no unknown_share of {target.name}"
         for name, files in pair_keys.items():
-            yield from _pair_keys(files, _made_by(lineage, name, "pairs"), solid=metadata.has_solid(name))
+            wanted = PAIR_KEYS if metadata.has_solid(name) else {*INPUT_KEYS, VERSION_KEY}
+            needed = wanted if _made_by(lineage, name, "pairs") else ()
+            for file, keys in files.items():
+                yield from _other_keys(file, keys, wanted, needed)
         for name in filter(metadata.has_solid, metadata.recordings):
             quality, is_new = metadata.recordings[name].quality, _made_by(lineage, name, "segment")
             yield from _quality_problems(f"objects/{name}/{QualityFile.FILE}", quality, is_new)
@@ -93,13 +96,6 @@ def _made_by(lineage: Mapping[str, LineageRecording], recording: str, stage: str
     """Return whether this version of a stage made its part of a recording."""
     row = lineage[recording].stages.get(stage) if recording in lineage else None
     return row is not None and row.stage_version == VERSIONS[stage]
-
-
-def _pair_keys(files: Mapping[str, Collection[str]], is_new: bool, *, solid: bool) -> Iterator[str]:
-    """Yield a message for each pair with keys that no pair has, or that (if `is_new`) lacks some."""
-    wanted = PAIR_KEYS if solid else {*INPUT_KEYS, VERSION_KEY}
-    for name, keys in files.items():
-        yield from _other_keys(name, keys, wanted, wanted if is_new else ())
 
 
 def _other_keys(
