@@ -17,7 +17,7 @@ from kinectbench.scoring.assemble import as_of_baseline, describe, make_table
 from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.recognized import is_of_baseline, made_table
 from kinectbench.scoring.camera.score_camera_method import left_out_table, score_in_camera
-from kinectbench.scoring.camera.score_grid_method import score_grid_in_space
+from kinectbench.scoring.camera.score_grid_view import score_grid_in_space
 from kinectbench.scoring.caveats import marks_of
 from kinectbench.scoring.method_json import (
     changed_files,
