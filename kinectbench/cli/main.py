@@ -15,10 +15,15 @@ import typer
 
 from kinectbench._version import __version__
 from kinectbench.cli import console
-from kinectbench.cli.baseline import baseline_command, check_command
 from kinectbench.cli.build import STAGE_COMMANDS, build_command
 from kinectbench.cli.common import Command, on_interrupt
-from kinectbench.cli.exchange import adapt_command, export_command, import_command
+from kinectbench.cli.exchange import (
+    adapt_command,
+    baseline_command,
+    check_command,
+    export_command,
+    import_command,
+)
 from kinectbench.cli.fetch import fetch_command, gc_command, verify_command
 from kinectbench.cli.known_truth import (
     compare_truth_command,

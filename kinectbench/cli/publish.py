@@ -256,7 +256,7 @@ def publish_options(
     """
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.core.artefacts.targets import SPLITS
-    from kinectbench.release.publish.isolate import refuse_framing
+    from kinectbench.release.publish.held_back import refuse_framing
     from kinectbench.scoring.thresholds import read_thresholds
 
     for split in hold_back:

@@ -257,7 +257,7 @@ def baselines_of(
     """
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
     from kinectbench.report.space_table import is_baseline
-    from kinectbench.scoring.baselines.for_comparison import comparison_baselines
+    from kinectbench.scoring.baselines.in_grids import comparison_baselines
 
     spatial = in_space(tables)
     if spatial and not any("camera" in table.settings.protocols for table in spatial):

@@ -11,8 +11,7 @@ from typing import Protocol
 
 from kinectbench.core import CaptureError, KinectBenchError
 from kinectbench.record.folder import FolderWriter, check_new
-from kinectbench.record.interface import Acceleration, Device, Frame, Setup
-from kinectbench.record.quiet import in_a_line, quiet
+from kinectbench.record.interface import Acceleration, Device, Frame, Setup, in_a_line, quiet
 
 # Interval at which Python's lock changes hands. It is 5 ms by default while another thread computes in
 # Python, and writing a frame takes the lock a dozen times. A busy observer cost 306 of 1,000 frames at 30 Hz;

@@ -28,9 +28,8 @@ from kinectbench.release.contents import (
     release_files,
     release_json,
 )
-from kinectbench.release.publish.category_pages import category_texts
 from kinectbench.release.publish.gate import gate
-from kinectbench.release.publish.index_page import preview_text
+from kinectbench.release.publish.index_page import category_texts, preview_text
 from kinectbench.release.publish.object_glb import write_glbs
 from kinectbench.release.publish.previews import write_view_pictures
 from kinectbench.release.publish.privacy import scrubbed

@@ -55,8 +55,8 @@ from kinectbench.release.own_folder import refuse_other_content
 from kinectbench.release.publish.card import CardTexts
 from kinectbench.release.publish.small_files import release_info, write_small_files
 from kinectbench.release.release import Release
+from kinectbench.settings.base import Line
 from kinectbench.settings.models import PairSettings
-from kinectbench.settings.texts import Line
 
 SPLITS = {theirs: split for split, theirs in SPLIT_NAMES.items()}
 PATH = re.compile(

@@ -17,7 +17,7 @@ from kinectbench.release.publish.attribution import (
     without_tags,
 )
 from kinectbench.release.publish.card import counts_table, underside_line
-from kinectbench.release.publish.isolate import isolated_line
+from kinectbench.release.publish.held_back import isolated_line
 from kinectbench.settings.models import BenchmarkSettings
 
 TEMPLATE = Path(__file__).with_name("datasheet.md")

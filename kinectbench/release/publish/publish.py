@@ -21,14 +21,18 @@ from kinectbench.release.contents import MOST_FILES, VIEW_IMAGES, refuse_large
 from kinectbench.release.own_folder import refuse_other_content
 from kinectbench.release.publish.datasheet import unanswered
 from kinectbench.release.publish.gate import Gate, first_lines, gate
-from kinectbench.release.publish.held_back import SAID_OF_TRUTH
-from kinectbench.release.publish.isolate import SETTINGS_KEYS, Isolated, isolate, refuse_framing
+from kinectbench.release.publish.held_back import (
+    SAID_OF_TRUTH,
+    SETTINGS_KEYS,
+    Isolated,
+    isolate,
+    refuse_framing,
+)
 from kinectbench.release.publish.previews import write_view_pictures
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
-from kinectbench.release.publish.release_warnings import gives_away, release_warnings
 from kinectbench.release.publish.small_files import note_in_benchmark_json, release_info, write_small_files
-from kinectbench.release.publish.texts import release_texts
+from kinectbench.release.publish.texts import gives_away, release_texts, release_warnings
 from kinectbench.settings.models import BenchmarkSettings
 
 PRIVATE = "-private"

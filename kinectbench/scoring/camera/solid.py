@@ -15,7 +15,7 @@ from kinectbench.scoring.camera.truth import SpaceTruth
 from kinectbench.scoring.camera.winding import inside_winding
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.closed_mesh import ClosedMesh, in_cells, refuse_mesh
-from kinectbench.scoring.mesh_outside import outside_share
+from kinectbench.scoring.mesh_prediction import outside_share
 
 # Poisson reconstruction: number of samples, depth of the octree, side of its cube relative to the shape. So
 # cells are 1/64 of the shape, and openings are closed (measured; docs/evidence/scoring.md, "Ways to close a
