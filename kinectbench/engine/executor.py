@@ -1,6 +1,8 @@
 """Executors of tasks: this process, processes of this machine, or a cluster.
 
 Code that runs many tasks needs only `Executor`; its results do not depend on which executor runs it.
+
+The package loky would not help for `Pool`: its pool also breaks if a process is killed.
 """
 
 import contextlib

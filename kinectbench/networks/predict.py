@@ -40,7 +40,7 @@ from kinectbench.networks.run_folder import hardware, make_folder
 from kinectbench.networks.trained import Trained
 from kinectbench.networks.validate import completed
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.packed_prediction import packed
+from kinectbench.scoring.prediction_file import packed
 
 Precision = Literal["packed", "float16"]
 SPLITS: tuple[Split, ...] = ("validation", "test")

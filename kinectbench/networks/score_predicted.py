@@ -17,7 +17,7 @@ from kinectbench.scoring.api import Scorer
 from kinectbench.scoring.counts import Prediction
 from kinectbench.scoring.dataset import Dataset
 from kinectbench.scoring.method_json import method_lines
-from kinectbench.scoring.packed_prediction import CODES, LEVELS, packed, unpacked
+from kinectbench.scoring.prediction_file import CODES, LEVELS, packed, unpacked
 
 
 def score_predicted(

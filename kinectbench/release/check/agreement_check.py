@@ -32,7 +32,7 @@ from kinectbench.release.check.figure_check import (
     quality_problems,
     refused_problems,
 )
-from kinectbench.release.check.missing_files import hidden_files
+from kinectbench.release.check.promises import hidden_files
 from kinectbench.release.contents import (
     CARD,
     CITATION,

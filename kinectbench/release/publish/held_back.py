@@ -1,4 +1,10 @@
-"""Make the public files of recordings whose truth is held back."""
+"""Make the public files of recordings whose truth is held back.
+
+With `publish --isolate`, one view of each object is published, without any data that reveal the truth.
+Several views of an object can be registered with each other, and so reveal its shape. So everything that
+depends on other views or on the camera's pose is left out, too: the floor, the pose, the background, the mask
+where the view has no depth, frame numbers, timestamps, hashes and settings.
+"""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,8 @@
-"""Triage of a benchmark: decide on each recording, and find two recordings of one object under two names."""
+"""Triage of a benchmark: decide on each recording, and find two recordings of one object under two names.
+
+The same object is found by registering shapes with each other on the floor. docs/releases.md explains the
+rule. docs/evidence/releases.md has the results of `python benchmarks/truth/same_object.py`.
+"""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,9 @@
-"""Score baselines in memory, as methods or beside a method; prediction files would give the same tables."""
+"""Score baselines in memory, as methods or beside a method; prediction files would give the same tables.
+
+For comparison with a method, only voxel metrics are computed under the grid protocols: they suffice to judge
+a method, and surface metrics take most of the time. If the method predicts in the camera frame, baselines are
+scored only under `camera`.
+"""
 
 import contextlib
 from collections.abc import Collection, Iterator, Mapping, Sequence

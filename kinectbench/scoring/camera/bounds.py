@@ -1,4 +1,12 @@
-"""Best scores that the truth's uncertainty allows, and metrics as the code of other papers computes them."""
+"""Best scores that the truth's uncertainty allows, and metrics as the code of other papers computes them.
+
+The best one-to-one assignment of two point sets. Source: the auction algorithm with decreasing eps of D. P.
+Bertsekas, "The auction algorithm: a distributed relaxation method for the assignment problem" (1988). The
+points of one set bid for those of the other, the "places". The cost of a place is its distance plus its
+price; a point bids for the place of least cost. Each point keeps a short list of its cheapest places. Prices
+only rise, so a list stays valid until its second-lowest cost exceeds what the cheapest place outside the list
+cost when the list was made.
+"""
 
 import math
 

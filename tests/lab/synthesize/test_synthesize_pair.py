@@ -16,7 +16,7 @@ from kinectbench.lab.synthesize.make import make_synthetic_pair
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh, as_seeable, check_mesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, camera_pose, virtual_camera
-from kinectbench.release.check.pair_check import pair_problems
+from kinectbench.release.check.view_check import pair_problems
 
 SETTINGS = SynthesisSettings(up="y")
 CAMERA = virtual_camera(320)
