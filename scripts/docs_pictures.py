@@ -113,7 +113,7 @@ def unseen(folder: Path) -> Rgb:
     """An object from three sides and from where one would look into it, as `report` draws it."""
     from kinectbench.core.artefacts.object import QualityFile
     from kinectbench.core.artefacts.object_grids import ObjectVolume, unmeasured_faces
-    from kinectbench.report.unseen import object_pictures
+    from kinectbench.report.recording import object_pictures
 
     T = np.array(json.loads((folder / "floor.json").read_text())["T_floor_world"])
     mesh = read_own_ply(folder / "mesh.ply")

@@ -37,7 +37,7 @@ from kinectbench.lab.evaluate.charts import slice_colors
 from kinectbench.lab.evaluate.solid import EvaluatedSolids, canonical_cube, compare_on
 from kinectbench.lab.evaluate.surface import ReferenceSurface
 from kinectbench.lab.simulate.truth import Truth, read_truth
-from kinectbench.report.unseen import arrows_to, draw_arrow
+from kinectbench.report.recording import arrows_to, draw_arrow
 from kinectbench.stages.ingest.sequence_folder import read_sequence
 from kinectbench.stages.segment.object_model import ObjectModel
 

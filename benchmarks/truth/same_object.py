@@ -22,7 +22,7 @@ from kinectbench.core.types import Float64
 from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.lab.simulate.objects import families, make_object
 from kinectbench.lab.simulate.objects.shapes import Subject
-from kinectbench.release.triage.same_object import LEAST_AGREEMENT, SIZES_APART, Shape, shape_agreement
+from kinectbench.release.triage.triage import LEAST_AGREEMENT, SIZES_APART, Shape, shape_agreement
 
 SAMPLES = 12_000
 # Of a surface that was fused, and less on what is small; the sector that no camera saw.

@@ -15,26 +15,30 @@ import typer
 
 from kinectbench._version import __version__
 from kinectbench.cli import console
-from kinectbench.cli.baseline import baseline_command, check_command
 from kinectbench.cli.build import STAGE_COMMANDS, build_command
 from kinectbench.cli.common import Command, on_interrupt
-from kinectbench.cli.compare_truth import compare_truth_command
-from kinectbench.cli.evaluate import evaluate_command
-from kinectbench.cli.exchange import adapt_command, export_command, import_command
-from kinectbench.cli.fetch import fetch_command, gc_command
-from kinectbench.cli.methods import convert_command, predict_command, train_command
+from kinectbench.cli.exchange import (
+    adapt_command,
+    baseline_command,
+    check_command,
+    export_command,
+    import_command,
+)
+from kinectbench.cli.fetch import fetch_command, gc_command, verify_command
+from kinectbench.cli.known_truth import (
+    compare_truth_command,
+    evaluate_command,
+    simulate_command,
+    synthesize_command,
+)
+from kinectbench.cli.methods import convert_command, predict_command, reproduce_command, train_command
 from kinectbench.cli.publish import publish_command
 from kinectbench.cli.record import record_command
 from kinectbench.cli.recordings import formats_command, init_command, inspect_command
-from kinectbench.cli.report import report_command
-from kinectbench.cli.reproduce import reproduce_command
+from kinectbench.cli.report import report_command, triage_command
 from kinectbench.cli.score import compare_command, score_command
 from kinectbench.cli.segment import segment_command
-from kinectbench.cli.simulate import simulate_command
-from kinectbench.cli.synthesize import synthesize_command
 from kinectbench.cli.track import track_command
-from kinectbench.cli.triage import triage_command
-from kinectbench.cli.verify import verify_command
 from kinectbench.core import (
     KinectBenchError,
     SettingsError,

@@ -1,14 +1,15 @@
-"""The commands `train`, `predict` and `convert` for networks; they need torch."""
+"""The commands `train`, `predict`, `convert` and `reproduce` for networks; they need torch."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
 from kinectbench.cli import console
+from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import SOME_FAILED, Common, takes
 from kinectbench.cli.progress_bars import progress_bar
 from kinectbench.core import SettingsError, listed, printable
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from kinectbench.core.types import Split
     from kinectbench.networks.trained import Trained
     from kinectbench.release.release import Release as OpenRelease
+
 
 Word = TypeVar("Word", bound=str)
 
@@ -141,12 +143,12 @@ def predict_command(
         console.lines(trained.config.name, [line], "yellow")
 
     if score:
-        how = run_of(trained, benchmark, threshold, chosen, where)
-        return _score(common, trained, benchmark, how, splits, surface, out or common.beside("scores"), where)
+        how = run_of(trained, benchmark, threshold, chosen)
+        return _score(common, trained, benchmark, how, splits, surface, out or common.beside("scores"))
     for line in notes(trained, benchmark):
         say(line)
     failed = list[str]()
-    how_to: dict[str, Any] = {"threshold": threshold, "precision": chosen, "splits": splits, "device": where}
+    how_to: dict[str, Any] = {"threshold": threshold, "precision": chosen, "splits": splits}
     with progress_bar(f"predict {trained.config.name}") as progress:
         how_to |= {"progress": progress, "say": say, "failed": failed.append}
         written = run(trained, benchmark, out or common.beside("predictions"), **how_to)
@@ -171,7 +173,6 @@ def _score(
     splits: "Sequence[Split]",
     surface: bool,
     folder: Path,
-    device: str,
 ) -> int:
     """Do the work of `predict --score`: predict and score in memory, then write the same files as `score`."""
     from kinectbench.cli.report import write_page
@@ -183,16 +184,14 @@ def _score(
     from kinectbench.report.gallery import loaded_cells
 
     with progress_bar(f"predict and score {trained.config.name}") as progress:
-        table = score_predicted(
-            trained, release, run, splits=splits, surface=surface, device=device, progress=progress
-        )
+        table = score_predicted(trained, release, run, splits=splits, surface=surface, progress=progress)
     tell_problems([table])
     table.write(folder)
     with progress_bar("gallery") as progress:
         # The few views that a page shows are predicted again: all predictions would not fit in memory.
         cells = loaded_cells(
             release,
-            lambda target: as_written(trained, release, run, target, device),
+            lambda target: as_written(trained, release, run, target),
             table,
             progress=progress,
         )
@@ -221,3 +220,82 @@ def convert_command(
         raise SettingsError(f"no kind of checkpoint '{kind}': choose {', '.join(CONVERTERS)}")
     made = CONVERTERS[kind](model, out)
     common.tell({**asdict(made), "folder": str(made.folder)}, made.lines)
+
+
+# 3D-RecGAN++, Sec. 3.6: 50 views of each real object, the cube around its full shape. `--set` overrides this.
+COUNT = 50
+# Largest number of characters of a name or a source in the table (chosen here).
+LONGEST_NAME = 200
+PAPER_REAL = (f"views.count={COUNT}", "pairs.framing=object")
+
+
+@takes("benchmark", "config", "overrides", "jobs", "as_json")
+def reproduce_command(
+    common: Common,
+    protocol: Annotated[Literal["paper-real"], typer.Argument(help="that of 3D-RecGAN++ on real recordings")],
+    device: Device = None,
+) -> int:
+    """Build, publish, predict and score by the paper's protocol; print its table. A stopped run is resumed.
+
+    All networks that come trained are run. Other methods' predictions in the same folder are scored, too.
+    Thresholds come from the validation split.
+    """
+    from kinectbench.networks.registry import require_torch
+
+    require_torch()
+    from kinectbench.core import replaced_file
+    from kinectbench.networks.distributed import chosen_device
+    from kinectbench.networks.predict import predict
+    from kinectbench.networks.trained import FOLDER as PACKAGED
+    from kinectbench.networks.trained import open_trained, packaged_methods
+    from kinectbench.report.paper_table import PROTOCOL, SHELL, paper_markdown, paper_tables
+    from kinectbench.scoring.score import score_methods
+
+    asked = replace(common, overrides=[*PAPER_REAL, *(common.overrides or ())])
+    release, rows = find_release(asked)
+    found_count = (release.metadata.settings.views or {}).get("count")  # synthetic releases state none
+    wanted = COUNT if common.benchmark else asked.settings.views.count
+    if release.metadata.framing != "object" or found_count not in (None, wanted):
+        raise SettingsError(
+            f"{release.folder}: has framing {release.metadata.framing} and {found_count} views a recording, "
+            f"where the protocol has framing object and {wanted}; publish again by `kinectbench publish "
+            f"{' '.join(f'--set {override}' for override in asked.overrides or ())}`"
+        )
+    folder, where = common.root / "reproduce" / protocol, chosen_device(device)
+    for name in packaged_methods():
+        trained = open_trained(PACKAGED / name, where)
+        with progress_bar(f"predict {name}") as progress:
+            predict(trained, release, folder / "predictions", progress=progress)
+    with progress_bar("score") as progress:
+        tables = score_methods(
+            release,
+            folder / "predictions",
+            folder / "scores",
+            protocols=(PROTOCOL, SHELL),
+            surface=False,
+            jobs=common.workers,
+            progress=progress,
+        )
+    found = paper_tables(tables)
+    # Such as a warning that a method learnt from test objects.
+    warned = [f"{table.method}: {line}" for table in tables for line in table.warnings]
+    console.lines("warning", warned, "yellow")
+    text = "\n".join([paper_markdown(found), f"- {_origin(release)}", *(f"- {line}" for line in warned), ""])
+    with replaced_file(folder / "table.md") as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    common.tell([asdict(table) for table in found], text.splitlines())
+    return exit_status(rows)
+
+
+def _origin(release: "OpenRelease") -> str:
+    """Return a line to print below the table: the number of test pairs, and where they come from."""
+    pairs, info = release.split("test"), release.metadata
+    counted = f"{len(pairs)} pairs of {printable(info.name, LONGEST_NAME)}"
+    if info.settings.recordings is None:
+        return (
+            f"The figures are of {counted}, which were not built of recordings here but synthesised or "
+            "imported: nothing proves that they are real."
+        )
+    many = len({pair.recording for pair in pairs})
+    stated = printable(info.settings.source or "unspecified", LONGEST_NAME)
+    return f"The figures are of {counted}, built of {many} recording{'s' * (many != 1)}; source: {stated}."

@@ -162,8 +162,7 @@ def _publish_here(common: Common, recordings: list[str], options: "PublishOption
 
 def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
     """Return a function that uploads a release's folder to the URL `to`, and returns (URL, summary)."""
-    from kinectbench.release.hub import SCHEME, hub_name
-    from kinectbench.release.put import put_release
+    from kinectbench.release.put import SCHEME, hub_name, put_release
 
     if to.startswith(SCHEME):
         name = hub_name(to)
@@ -182,8 +181,8 @@ def _put_on_hub(folder: Path, name: str) -> "PutSummary":
 
     The hub's client shows its own progress.
     """
-    from kinectbench.release.hub import put_on_hub
     from kinectbench.release.published import listed_files
+    from kinectbench.release.put import put_on_hub
 
     with progress_bar("check") as progress:
         sums = listed_files(folder, progress)
@@ -256,7 +255,7 @@ def publish_options(
     """
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.core.artefacts.targets import SPLITS
-    from kinectbench.release.publish.isolate import refuse_framing
+    from kinectbench.release.publish.held_back import refuse_framing
     from kinectbench.scoring.thresholds import read_thresholds
 
     for split in hold_back:

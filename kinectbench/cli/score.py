@@ -65,12 +65,11 @@ def score_command(
 
     Without a folder of predictions, all baselines are scored as methods; no prediction is written.
     """
-    known: dict[str, Any] = {"protocols": protocol, "thresholds_file": thresholds, "upsampling": upsampling}
-    of_one = {"method": method, "save_thresholds": save_thresholds, "missing": missing}
-    of_one["close"] = close
     if recheck is not None:
         return _recheck(common, context, recheck, predictions, thresholds)
+    known: dict[str, Any] = {"protocols": protocol, "thresholds_file": thresholds, "upsampling": upsampling}
     known["surface"] = surface
+    of_one = {"method": method, "save_thresholds": save_thresholds, "missing": missing, "close": close}
     if common.part is not None:
         return _score_part(common, predictions, out, known | of_one)
     from kinectbench.report.run import write_galleries
@@ -79,8 +78,8 @@ def score_command(
     if predictions is None:
         _refuse(common, of_one)
     if common.benchmark is None:  # before the benchmark is built
-        rest = (save_thresholds, missing, upsampling, close, common.cluster or 1)
-        check_request(Request(protocol, thresholds, *rest), predictions)
+        options = {name: value for name, value in (known | of_one).items() if name != "method"}
+        check_request(Request(**options, jobs=common.cluster or 1), predictions)
     release, rows = find_release(common)
     folder = out or common.beside("scores")
     tables = _tables(common, release, predictions, folder, known, of_one)
@@ -108,16 +107,10 @@ def _score_part(
     if options["close"] is not None:
         raise SettingsError("score --shard: not with --close: predictions in the camera frame have no parts")
     folder = out or common.beside("scores")
-    given = {name: value for name, value in options.items() if name not in ("save_thresholds", "close")}
     with common.executor() as executor, progress_bar("count") as progress:
+        release, jobs = open_release(release_here(common.benchmark)), executor or common.workers
         failed = count_methods(
-            open_release(release_here(common.benchmark)),
-            predictions,
-            folder,
-            common.part,
-            jobs=executor or common.workers,
-            progress=progress,
-            **given,
+            release, predictions, folder, common.part, jobs=jobs, progress=progress, **options
         )
     message = f"part {common.part} is counted; when all are, the same command without --shard makes the table"
     common.tell({"shard": common.shard, "failed": failed}, [message])
@@ -264,7 +257,7 @@ def baselines_of(
     """
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
     from kinectbench.report.space_table import is_baseline
-    from kinectbench.scoring.baselines.for_comparison import comparison_baselines
+    from kinectbench.scoring.baselines.in_grids import comparison_baselines
 
     spatial = in_space(tables)
     if spatial and not any("camera" in table.settings.protocols for table in spatial):

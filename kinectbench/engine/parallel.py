@@ -12,9 +12,8 @@ from kinectbench.core import KILLED, KinectBenchError
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.store.address import url_of
 from kinectbench.core.threads import using_threads
-from kinectbench.engine.executor import Executor, SendMessage, SerialExecutor, WorkerLost
+from kinectbench.engine.executor import Executor, Pool, SendMessage, SerialExecutor, WorkerLost
 from kinectbench.engine.pipeline import Outcome
-from kinectbench.engine.pool import Pool
 from kinectbench.engine.scratch import clear_scratch
 from kinectbench.engine.stages import Job
 from kinectbench.engine.status import (

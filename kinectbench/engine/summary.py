@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairsFile, ViewsFile
 from kinectbench.core.medians import known_median
 from kinectbench.engine.pipeline import FOLDERS, Outcome
-from kinectbench.engine.recording_summary import RecordingSummary as RecordingSummary
+from kinectbench.engine.pipeline import RecordingSummary as RecordingSummary
 from kinectbench.engine.stages import Job
 
 # Values of health.json and quality.json that have the same names in the table.

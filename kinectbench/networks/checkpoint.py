@@ -7,7 +7,7 @@ import pickle
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
@@ -18,6 +18,7 @@ from kinectbench.core.artefacts.benchmark import SHA256
 from kinectbench.core.artefacts.method import TrainingRow
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 from kinectbench.networks.network import Network
+from kinectbench.networks.steps import Losses
 
 # Exceptions that a damaged file may raise: torch unpickles in Python, where hostile bytes can raise anything.
 DAMAGED = (
@@ -43,6 +44,7 @@ ADAM = {"step", "exp_avg", "exp_avg_sq"}
 Sha256 = Annotated[str, Field(pattern=SHA256)]
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(ge=0)]
+LossName = Annotated[str, Field(pattern="^(loss|reconstruction|discriminator|steps)$")]
 
 
 class _Checked(BaseModel):
@@ -51,15 +53,33 @@ class _Checked(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
-class StoredState(_Checked):
-    """The stored `State` of a training; validated with its total number of steps as pydantic's `context`."""
+class State(_Checked):
+    """The progress of a training. Together with the learner's values, it determines all later steps.
 
-    step: Count
-    rows: list[TrainingRow]
-    sums: dict[Literal["loss", "reconstruction", "discriminator", "steps"], float]
-    best_iou: Annotated[float, Field(ge=-1, le=1)]
-    best_step: Count
-    seconds: Positive
+    A stored one is validated with the training's total number of steps as pydantic's `context`.
+
+    Attributes:
+        step: number of finished steps.
+        rows: rows of the log so far.
+        sums: {name of a loss: its sum over the steps since the last row}, and under `steps` the number of
+            these steps.
+        best_iou: the best validation IoU so far, -1 before the first; `best_step` is its step, 0 before the
+            first.
+        seconds: time that the steps took so far, without validation and saving.
+    """
+
+    step: Count = 0
+    rows: list[TrainingRow] = []
+    sums: dict[LossName, float] = {}
+    best_iou: Annotated[float, Field(ge=-1, le=1)] = -1.0
+    best_step: Count = 0
+    seconds: Positive = 0.0
+
+    def add(self, losses: Losses) -> None:
+        """Increment the number of finished steps, and add the step's losses to the sums."""
+        self.step += 1
+        for name, value in {**losses, "steps": 1.0}.items():
+            self.sums[name] = self.sums.get(name, 0.0) + value
 
     @field_validator("step")
     @classmethod
@@ -142,13 +162,13 @@ def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Ch
     return Checkpoint.model_validate({**content, "network": dict(content["network"])})
 
 
-def checked_state(checkpoint: Checkpoint, steps: int) -> StoredState:
+def checked_state(checkpoint: Checkpoint, steps: int) -> State:
     """Check and return a checkpoint's progress; `steps` is the number of steps of the whole training.
 
     Raises:
         ValueError: no such training can have this state.
     """
-    return StoredState.model_validate(checkpoint.state, context=steps)
+    return State.model_validate(checkpoint.state, context=steps)
 
 
 def set_values(

@@ -16,8 +16,8 @@ from kinectbench.core import (
     sha256_text,
 )
 from kinectbench.settings.base import Settings
+from kinectbench.settings.overrides import read_model
 from kinectbench.settings.words import suggestion
-from kinectbench.settings.yaml_model import read_model
 
 NetworkName = Literal["3d-recgan++", "3d-recae", "3d-epn", "varley", "han-like"]
 # Kind of a user's own network: a class by its path.

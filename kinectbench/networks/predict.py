@@ -6,7 +6,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from importlib.util import resolve_name
 from pathlib import Path
 from types import ModuleType
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from kinectbench._version import __version__
 from kinectbench.core import (
+    KinectBenchError,
     PairError,
     PredictionError,
     listed,
@@ -39,7 +40,7 @@ from kinectbench.networks.run_folder import hardware, make_folder
 from kinectbench.networks.trained import Trained
 from kinectbench.networks.validate import completed
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.packed_prediction import packed
+from kinectbench.scoring.prediction_file import packed
 
 Precision = Literal["packed", "float16"]
 SPLITS: tuple[Split, ...] = ("validation", "test")
@@ -62,7 +63,6 @@ def predict(
     threshold: float | None = None,
     precision: Precision = "packed",
     splits: Sequence[Split] = SPLITS,
-    device: str = "cpu",
     progress: Progress = no_progress,
     say: Callable[[str], None] | None = None,
     failed: Callable[[str], None] | None = None,
@@ -73,14 +73,13 @@ def predict(
     (`UnfinishedFile`). Otherwise existing predictions are removed first.
 
     Args:
-        trained: the network, on its device.
+        trained: the network.
         release: the release that is predicted.
         out: a folder of methods.
         threshold: write packed bits, which are set above this probability; None writes probabilities.
         precision: how probabilities at 256^3 are written: "packed" (8 bits) or "float16"; coarser grids are
             always float16.
         splits: "validation", "test" or both.
-        device: the network's device.
         progress: called with (pairs done, pairs in all).
         say: called with a line if predictions of another run are removed, or before waiting for another run
             to end.
@@ -102,7 +101,7 @@ def predict(
     wanted = release.of_splits([split for split in SPLITS if split in splits])
     folder = out / trained.config.name
     make_folder(folder)
-    run = run_of(trained, release, threshold, precision, device)
+    run = run_of(trained, release, threshold, precision)
     every = [target for split in SPLITS for target in release.split(split)]
 
     def waiting(holder: str) -> None:
@@ -111,13 +110,13 @@ def predict(
 
     with locked(folder, waiting=waiting):
         kept = PredictionFolder(folder, run, every, wanted, say)
-        seconds = _write_all(kept, trained, release, run, wanted, device, progress, failed)
-        kept.finish(method_of(trained, release, run, seconds, device))
+        seconds = _write_all(kept, trained, release, run, wanted, progress, failed)
+        kept.finish(method_of(trained, release, run, seconds))
     return folder
 
 
 def run_of(
-    trained: Trained, release: Release, threshold: float | None, precision: Precision, device: str
+    trained: Trained, release: Release, threshold: float | None, precision: Precision
 ) -> UnfinishedFile:
     """Return everything that determines the bytes of a run's prediction files; arguments as in `predict`."""
     # There is no key for values that are written unchanged, so that folders of earlier versions stay valid.
@@ -132,7 +131,7 @@ def run_of(
         weights_sha256=trained.weights_sha256,
         threshold=threshold,
         torch=str(torch.__version__),
-        hardware=hardware(device),
+        hardware=hardware(trained.device),
         **more,
     )
 
@@ -184,47 +183,69 @@ def _write_all(
     release: Release,
     run: UnfinishedFile,
     targets: Sequence[Target],
-    device: str,
     progress: Progress,
     failed: Callable[[str], None] | None,
 ) -> list[float]:
     """Predict and write the missing files; return the seconds that the network took for each such view."""
-    waiting = [target for target in targets if not kept.holds(target)]
-    seconds, first = [], None
-    # A file is compressed and written while the network predicts the next view.
-    with memory_kept(), ThreadPoolExecutor(1) as writer:
-        written: Future[None] | None = None
-        for done, target in enumerate(waiting, start=1 + len(targets) - len(waiting)):
-            try:
-                probability, took = completed_target(trained, release, target, device)
-            except OF_ONE_PAIR as error:
-                if failed is None:
-                    raise
-                first = first or error
-                failed(f"{target.name}: {error}")
-            else:
-                seconds.append(took)
-                if written:
-                    written.result()
-                written = writer.submit(_write, kept, target, probability, run)
-            progress(done, len(targets))
-        if written:
-            written.result()
-    if first is not None and not any(map(kept.holds, targets)):
-        raise first
+    waiting, first = [target for target in targets if not kept.holds(target)], list[KinectBenchError]()
+
+    def failing(target: Target, error: KinectBenchError) -> None:
+        if failed is None:
+            raise error
+        first.append(error)
+        failed(f"{target.name}: {error}")
+
+    def write(target: Target, probability: NDArray[np.float16]) -> None:
+        kept.write(target, _prediction_bytes(probability, run))
+
+    before = len(targets) - len(waiting)
+    seconds = in_turn(
+        trained, release, waiting, write, failing, lambda done, _: progress(before + done, len(targets))
+    )
+    if first and not any(map(kept.holds, targets)):
+        raise first[0]
     return seconds
 
 
-def completed_target(
-    trained: Trained, release: Release, target: Target, device: str
-) -> tuple[NDArray[np.float16], float]:
-    """Complete the partial shape of a pair.
+def in_turn(
+    trained: Trained,
+    release: Release,
+    targets: Sequence[Target],
+    use: Callable[[Target, NDArray[np.float16]], None],
+    failing: Callable[[Target, KinectBenchError], None],
+    progress: Progress,
+) -> list[float]:
+    """Predict pairs one after another; return the seconds that the network took for each.
 
     Args:
-        trained: the network and its settings; the network is on the device.
-        release: the pair's release.
-        target: the pair.
-        device: torch's device, such as "cpu".
+        trained: the network.
+        release: the pairs' release.
+        targets: the pairs.
+        use: called with each pair and its probabilities (n, n, n), in order, on another thread: it works
+            while the network predicts the next pair.
+        failing: called with a pair that cannot be predicted, and its error.
+        progress: called with (pairs done, pairs in all).
+    """
+    seconds, used = list[float](), None
+    with memory_kept(), ThreadPoolExecutor(1) as user:
+        for done, target in enumerate(targets, start=1):
+            try:
+                probability, took = completed_target(trained, release, target)
+            except OF_ONE_PAIR as error:
+                failing(target, error)
+            else:
+                seconds.append(took)
+                if used:
+                    used.result()
+                used = user.submit(use, target, probability)
+            progress(done, len(targets))
+        if used:
+            used.result()
+    return seconds
+
+
+def completed_target(trained: Trained, release: Release, target: Target) -> tuple[NDArray[np.float16], float]:
+    """Complete the partial shape of a pair.
 
     Returns:
         The probabilities that cells are occupied, (n, n, n) float16, and the seconds that the network took.
@@ -236,14 +257,8 @@ def completed_target(
     where = str(release.pair_path(target))
     pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)
     started = time.perf_counter()
-    probability = completed(trained.network, unpack(pair.partial), trained.config, device)
+    probability = completed(trained.network, unpack(pair.partial), trained.config, trained.device)
     return probability, time.perf_counter() - started
-
-
-def _write(
-    kept: PredictionFolder, target: Target, probability: NDArray[np.float16], run: UnfinishedFile
-) -> None:
-    kept.write(target, _prediction_bytes(probability, run))
 
 
 def _prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> bytes:
@@ -280,7 +295,7 @@ def notes(trained: Trained, release: Release) -> list[str]:
 
 
 def method_of(
-    trained: Trained, release: Release, run: UnfinishedFile, seconds: Sequence[float], device: str
+    trained: Trained, release: Release, run: UnfinishedFile, seconds: Sequence[float]
 ) -> MethodFile:
     """Return the method.json of a run; `seconds` has the network's time for each predicted view."""
     config, training = trained.config, trained.training
@@ -307,7 +322,7 @@ def method_of(
         threshold=training.threshold if run.threshold is None else None,
         hardware=run.hardware,
         seconds_per_view=round(float(np.mean(seconds)), 4) if seconds else None,
-        peak_memory_mb=round(_peak_bytes(device) / 1e6, 1),
+        peak_memory_mb=round(_peak_bytes(trained.device) / 1e6, 1),
     )
 
 

@@ -2,7 +2,6 @@
 
 import platform
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,10 @@ from kinectbench.core import (
 )
 from kinectbench.core.artefacts.method import TrainingFile, TrainingRow
 from kinectbench.core.pictures import INK, SOFT, figure_png, new_figure
-from kinectbench.networks.checkpoint import DAMAGED, checked_state, read_checkpoint, set_values
+from kinectbench.networks.checkpoint import DAMAGED, State, checked_state, read_checkpoint, set_values
 from kinectbench.networks.config import MethodSettings, read_config, write_config
 from kinectbench.networks.data import steps_in_all
-from kinectbench.networks.steps import Learner, Losses
+from kinectbench.networks.steps import Learner
 from kinectbench.networks.weights import FILE as WEIGHTS
 from kinectbench.networks.weights import arrays_of_network, write_weights
 
@@ -29,34 +28,6 @@ from kinectbench.networks.weights import arrays_of_network, write_weights
 SHOWN = 3
 CPU_INFO = Path("/proc/cpuinfo")
 CONFIG, CHECKPOINT, CURVES = "config.yaml", "checkpoint.pt", "curves.png"
-
-
-@dataclass
-class State:
-    """The progress of a training. Together with the learner's values, it determines all later steps.
-
-    Attributes:
-        step: number of finished steps.
-        rows: rows of the log so far.
-        sums: {name of a loss: its sum over the steps since the last row}, and under `steps` the number of
-            these steps.
-        best_iou: the best validation IoU so far, -1 before the first; `best_step` is its step, 0 before the
-            first.
-        seconds: time that the steps took so far, without validation and saving.
-    """
-
-    step: int = 0
-    rows: list[TrainingRow] = field(default_factory=list)
-    sums: Losses = field(default_factory=dict)
-    best_iou: float = -1.0
-    best_step: int = 0
-    seconds: float = 0.0
-
-    def add(self, losses: Losses) -> None:
-        """Increment the number of finished steps, and add the step's losses to the sums."""
-        self.step += 1
-        for name, value in {**losses, "steps": 1.0}.items():
-            self.sums[name] = self.sums.get(name, 0.0) + value
 
 
 def make_folder(folder: Path) -> None:
@@ -198,7 +169,7 @@ def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) 
         set_values(content, learner.network, learner.optimisers, state.step)
     except DAMAGED as error:
         raise _damaged(path) from error
-    return State(**dict(state))
+    return state
 
 
 def _damaged(path: Path) -> StorageError:

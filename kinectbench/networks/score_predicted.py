@@ -1,7 +1,6 @@
 """Score a trained network without writing predictions: each view is scored as soon as it is predicted."""
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +10,14 @@ from kinectbench.core.artefacts.method import UnfinishedFile
 from kinectbench.core.artefacts.scores import Failure, ScoreTable
 from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL, upsampled_planes
-from kinectbench.networks.allocator import memory_kept
-from kinectbench.networks.predict import OF_ONE_PAIR, SPLITS, completed_target, method_of
+from kinectbench.networks.predict import SPLITS, completed_target, in_turn, method_of
 from kinectbench.networks.trained import Trained
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.api import Scorer
 from kinectbench.scoring.counts import Prediction
 from kinectbench.scoring.dataset import Dataset
 from kinectbench.scoring.method_json import method_lines
-from kinectbench.scoring.packed_prediction import CODES, LEVELS, packed, unpacked
+from kinectbench.scoring.prediction_file import CODES, LEVELS, packed, unpacked
 
 
 def score_predicted(
@@ -29,7 +27,6 @@ def score_predicted(
     *,
     splits: Sequence[Split] = SPLITS,
     surface: bool = True,
-    device: str = "cpu",
     progress: Progress = no_progress,
 ) -> ScoreTable:
     """Return the table that `score` would make from the files of `predict`, but without hashes.
@@ -38,20 +35,19 @@ def score_predicted(
     of the network is no probability, is listed as a failure in the table.
 
     Args:
-        trained: the network, on its device.
+        trained: the network.
         release: the release that is predicted and scored.
         run: how predictions would be written, as `run_of` returns it.
         splits: "validation", "test" or both. Without "validation", the threshold is the network's own, or
             else 0.5. Without "test", the table has no averages.
         surface: whether surface metrics are computed; they take most of the time.
-        device: the network's device.
         progress: called with (pairs done, pairs in all).
 
     Raises:
         ReleaseError: a file of the release has changed, or its truth is held back.
         PairError, PredictionError: all pairs fail; the error is that of the first pair.
     """
-    method = method_of(trained, release, run, (), device)
+    method = method_of(trained, release, run, ())
     scorer = Scorer(
         Dataset(release, release.targets),
         method=trained.config.name,
@@ -59,22 +55,12 @@ def score_predicted(
         own_threshold=method.threshold,
     )
     targets = [target for split in SPLITS if split in splits for target in release.split(split)]
-    # A view is counted while the network predicts the next one; the order of counting is fixed.
     errors = dict[str, KinectBenchError]()
-    with memory_kept(), ThreadPoolExecutor(1) as counter:
-        counted: Future[None] | None = None
-        for done, target in enumerate(targets, start=1):
-            try:
-                prediction = as_written(trained, release, run, target, device)
-            except OF_ONE_PAIR as error:
-                errors[target.name] = error
-            else:
-                if counted:
-                    counted.result()
-                counted = counter.submit(scorer.update, target.name, prediction)
-            progress(done, len(targets))
-        if counted:
-            counted.result()
+
+    def count(target: Target, probability: NDArray[np.float16]) -> None:
+        scorer.update(target.name, _read_again(probability, run))
+
+    in_turn(trained, release, targets, count, lambda t, error: errors.update({t.name: error}), progress)
     if errors and len(errors) == len(targets):
         raise next(iter(errors.values()))
     table = scorer.result()
@@ -89,12 +75,9 @@ def _with_reason(failure: Failure, errors: Mapping[str, KinectBenchError]) -> Fa
     return failure.model_copy(update={"reason": f"{name}: {errors[name]}"}) if name in errors else failure
 
 
-def as_written(
-    trained: Trained, release: Release, run: UnfinishedFile, target: Target, device: str
-) -> Prediction:
+def as_written(trained: Trained, release: Release, run: UnfinishedFile, target: Target) -> Prediction:
     """Predict a pair; return it as it would be read from its file. Errors as in `completed_target`."""
-    probability, _ = completed_target(trained, release, target, device)
-    return _read_again(probability, run)
+    return _read_again(completed_target(trained, release, target)[0], run)
 
 
 def _read_again(probability: NDArray[np.float16], run: UnfinishedFile) -> Prediction:

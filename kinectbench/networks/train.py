@@ -15,6 +15,7 @@ from kinectbench.core.types import Progress, no_progress
 from kinectbench.engine.interrupts import interrupts_held
 from kinectbench.engine.locks import locked
 from kinectbench.networks.allocator import memory_kept
+from kinectbench.networks.checkpoint import State
 from kinectbench.networks.config import MethodSettings
 from kinectbench.networks.data import (
     Batch,
@@ -33,7 +34,6 @@ from kinectbench.networks.distributed import (
 )
 from kinectbench.networks.registry import make_network
 from kinectbench.networks.run_folder import (
-    State,
     check_weights_are_there,
     hardware,
     make_folder,

@@ -29,15 +29,17 @@ class Trained:
 
     Attributes:
         config: the method's configuration.
-        network: the network, on its device.
+        network: the network.
         weights_sha256: hash of weights.npz.
         training: content of training.json, which states how the weights were trained.
+        device: torch's name of the device that the network is on.
     """
 
     config: MethodSettings
     network: Network
     weights_sha256: str
     training: TrainingFile
+    device: str = "cpu"
 
     @property
     def running_parameters(self) -> int:
@@ -93,4 +95,4 @@ def open_trained(folder: Path, device: str = "cpu") -> Trained:
     check_fit(shapes, headers_of(path, bytes_of(shapes)), str(path))
     network = make_network(config.network)
     set_weights(network, path)
-    return Trained(config, network.to(device).eval(), sha256_file(path), training)
+    return Trained(config, network.to(device).eval(), sha256_file(path), training, device)

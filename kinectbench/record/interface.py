@@ -1,7 +1,11 @@
 """The interface of all cameras, and a frame of a camera."""
 
+import ctypes
+import io
+import os
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeVar
 
@@ -141,3 +145,33 @@ def polled(
             last = time.monotonic()
         elif time.monotonic() - last > SILENT_S:
             raise CaptureError(f"{device}: no depth came for {SILENT_S:g} s; look at its cable and its power")
+
+
+STDOUT = 1
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Silence, within the block, Python's output and the standard output of native libraries.
+
+    Orbbec's SDK prints a line on standard output when imported, in the middle of `--json`. NumPy prints a
+    page on standard error if a library was compiled for another version of NumPy.
+    """
+    flush = ctypes.CDLL(None).fflush  # the buffers of C, whose lines may come from before the block
+    flush(None)
+    kept, nowhere = os.dup(STDOUT), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, STDOUT)
+    os.close(nowhere)
+    try:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            yield
+    finally:
+        flush(None)
+        os.dup2(kept, STDOUT)
+        os.close(kept)
+
+
+def in_a_line(error: Exception) -> str:
+    """Return the first sentence of the first line of an error's message, or its class if that is empty."""
+    said = str(error).strip().partition("\n")[0].partition(". ")[0].rstrip(":. ")
+    return said or type(error).__name__

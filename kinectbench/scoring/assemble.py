@@ -42,7 +42,7 @@ def make_table(
     settings: ScoreSettings,
     empty: Collection[Target] = (),
 ) -> ScoreTable:
-    """Make a method's table; it has no averages if a pair failed: a mean over the rest could be too high.
+    """Make the table of a method that predicts in the pairs' grids.
 
     Args:
         release: the release that was predicted.
@@ -55,9 +55,49 @@ def make_table(
         empty: pairs without a prediction that were counted as empty grids.
     """
     rows = rows_of(results, settings.protocols, thresholds, rates)
+    digests = {target: result.digest for target, result in results.items()}
+    used = {category: rates[category] for category in thresholds.of}
+    warnings = [*suspicious_lines(results, thresholds, settings.of_baseline)]
+    if empty:
+        warnings.append(f"{len(empty)} predictions are missing and were counted as empty grids")
+    if failures:
+        what = f"{len(failures)} predictions could not be scored"
+        warnings.append(f"incomplete: {what}, so there are no averages")
+    table = table_of(
+        release, method, rows, digests, thresholds, failures, settings, empty, warnings=warnings, rates=used
+    )
+    return table.model_copy(update={"verified": None})  # the key is written
+
+
+def table_of(
+    release: Release,
+    method: str,
+    rows: tuple[ScoreRow, ...],
+    digests: Mapping[Target, str | None],
+    thresholds: Thresholds,
+    failures: Mapping[Target, str],
+    settings: ScoreSettings,
+    empty: Collection[Target],
+    *,
+    warnings: Sequence[str],
+    rates: Mapping[str, BaseRate],
+) -> ScoreTable:
+    """Make a table of its rows; it has no averages if a pair failed: a mean over the rest could be too high.
+
+    Args:
+        release: the release that was predicted.
+        method: the method's name.
+        rows: every scored pair under every protocol.
+        digests: {pair of the test or validation split: digest of its prediction, None without a file}.
+        thresholds: threshold of every category of the test split.
+        failures: {pair: why its prediction could not be scored}.
+        settings: the settings that the scores depend on.
+        empty: pairs without a prediction that were counted as empty.
+        warnings: one line each; those of the thresholds come before them.
+        rates: base rate of every category; empty if none was used.
+    """
     quality = quality_of(release, rows)
-    of_categories = {category: rates[category] for category in thresholds.of}
-    derived = derived_values(rows, settings.protocols, of_categories, quality, not failures)
+    derived = derived_values(rows, settings.protocols, rates, quality, not failures)
     table = ScoreTable(
         method=method,
         benchmark_sha256=release.benchmark_sha256,
@@ -68,50 +108,32 @@ def make_table(
         threshold_source=thresholds.source,
         threshold_source_by_category=dict(thresholds.sources),
         threshold_objects=thresholds.objects,
-        validation=_validation(release, results, thresholds, empty),
+        validation=_validation(release, digests, thresholds, empty),
         missing_as_empty=tuple(target.name for target in sorted(empty)),
-        base_rate=of_categories,
+        base_rate=dict(rates),
         rows=rows,
         truth_quality=quality,
         failures=tuple(
             Failure(recording=t.recording, view=t.view, reason=failures[t]) for t in sorted(failures)
         ),
-        warnings=_warnings(settings, results, thresholds, failures, empty),
+        warnings=(*thresholds.warnings, *warnings),
         hashes={
-            target.name: Hashes(truth=target.sha256, prediction=results[target].digest)
-            for target in sorted(results)
+            target.name: Hashes(truth=target.sha256, prediction=digests[target]) for target in sorted(digests)
         },
-        verified=None,
-        **vars(derived),
+        **derived,
     )
     return table.model_copy(update={"marks": marks_of(table)})
 
 
 def _validation(
-    release: Release, results: Mapping[Target, PairResult], thresholds: Thresholds, empty: Collection[Target]
+    release: Release, predicted: Collection[Target], thresholds: Thresholds, empty: Collection[Target]
 ) -> ValidationUse | None:
     """Return the numbers of validation pairs and of predicted pairs; None if no threshold is from them."""
     if thresholds.source not in SEARCHED:
         return None
     without = frozenset(empty)  # a set, as there may be thousands of them
-    predicted = sum(target.split == "validation" and target not in without for target in results)
-    return ValidationUse(pairs=len(release.split("validation")), predicted=predicted)
-
-
-def _warnings(
-    settings: ScoreSettings,
-    results: Mapping[Target, PairResult],
-    thresholds: Thresholds,
-    failures: Mapping[Target, str],
-    empty: Collection[Target],
-) -> tuple[str, ...]:
-    """Return the table's warnings: on thresholds, and on suspicious, missing or unusable predictions."""
-    lines = [*thresholds.warnings, *suspicious_lines(results, thresholds, settings.of_baseline)]
-    if empty:
-        lines.append(f"{len(empty)} predictions are missing and were counted as empty grids")
-    if failures:
-        lines.append(f"incomplete: {len(failures)} predictions could not be scored, so there are no averages")
-    return tuple(lines)
+    count = sum(target.split == "validation" and target not in without for target in predicted)
+    return ValidationUse(pairs=len(release.split("validation")), predicted=count)
 
 
 def rows_of(

@@ -23,20 +23,20 @@ from kinectbench.scoring.protocols import EVERY_VOXEL
 from kinectbench.scoring.uncertainty import bootstrap_interval, student_interval
 
 EXTREMES = 3
+# Figures of quality.json that are averaged over an object's recordings; then the one that is averaged over
+# its pairs.
+OF_RECORDING = ("estimated_iou", "estimated_iou_low", "estimated_iou_high", "repeatability_iou")
+OF_TRUTH = (*OF_RECORDING, "unknown_share")
 
 
 @dataclass(frozen=True)
 class ObjectQuality:
-    """The quality of the truth of an object, averaged over its recordings.
+    """The quality of the truth of an object: means of figures of quality.json over its recordings.
+
+    A mean is None if a recording lacks the figure.
 
     Attributes:
         category: the object's category.
-        estimated_iou: mean of the estimated IoU between the truth and the real shape; None if a recording has
-            no estimate.
-        estimated_iou_low: mean lower end of the estimate's interval; None if a recording has no estimate.
-        estimated_iou_high: mean upper end of that interval; None if a recording has no estimate.
-        repeatability_iou: mean IoU between a solid made from the odd frames and one made from the even
-            frames; None if unknown for a recording.
         unknown_share: share of the true shape that is not known, averaged over all pairs of the object; None
             if the rows are from an older version that lacks this share.
     """
@@ -152,11 +152,7 @@ def _category(
 ) -> CategoryAverages:
     """Return a category's averages; without a counted pair, only the averages of its truth's quality."""
     of_truth: dict[str, Any] = {
-        "truth_estimated_iou": _known_mean([of.estimated_iou for of in quality]),
-        "truth_estimated_iou_low": _known_mean([of.estimated_iou_low for of in quality]),
-        "truth_estimated_iou_high": _known_mean([of.estimated_iou_high for of in quality]),
-        "truth_repeatability_iou": _known_mean([of.repeatability_iou for of in quality]),
-        "truth_unknown_share": _known_mean([of.unknown_share for of in quality]),
+        f"truth_{key}": _known_mean([getattr(of, key) for of in quality]) for key in OF_TRUTH
     }
     source = None if rate is None else rate.source
     if here is None:
@@ -179,8 +175,7 @@ def overall_averages(
 
     The means of the truth's quality also include the categories without a counted pair.
     """
-    estimated = ("truth_estimated_iou", "truth_estimated_iou_low", "truth_estimated_iou_high")
-    of_truth = (*estimated, "truth_repeatability_iou", "truth_unknown_share")
+    of_truth = [f"truth_{key}" for key in OF_TRUTH]
     averages = {}
     for protocol, categories in by_category.items():
         of_protocol = means[protocol]

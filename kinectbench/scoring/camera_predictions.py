@@ -25,10 +25,10 @@ from kinectbench.scoring.depth_agreement import (
     beyond_share,
     likeliest,
 )
-from kinectbench.scoring.equal_predictions import Held, content_of, same_lines
 from kinectbench.scoring.method_json import method_problems
 from kinectbench.scoring.predictions import NO_PREDICTION, stray_files
 from kinectbench.scoring.strays import stray_lines
+from kinectbench.scoring.suspicious import Held, content_of, same_lines
 
 # Number of predictions that `score` compares with their depth (chosen here).
 LOOKED_AT = 5

@@ -14,13 +14,14 @@ from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
 from kinectbench.scoring.averages import ObjectMeans
 from kinectbench.scoring.comparable import check_same, comparable_means, complete_ones, left_out_lines
 from kinectbench.scoring.protocols import PRIMARY
-from kinectbench.scoring.significance_letters import MOST_GROUPS, significance_letters
 from kinectbench.scoring.uncertainty import (
     MAX_EXACT,
+    MOST_GROUPS,
     bootstrap_interval,
     holm,
     samples,
     sign_flip_ps,
+    significance_letters,
     smallest_p,
     student_interval,
 )

@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.geometry import invert_rigid, rigid, transform_points
 from kinectbench.core.types import Float64, Int64
 from kinectbench.scoring.camera_shape import CAMERA_AXES, METRES, CameraShape
-from kinectbench.scoring.equal_predictions import Held
+from kinectbench.scoring.suspicious import Held
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -5,18 +5,14 @@ other values.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from statistics import fmean
+from typing import Any
 
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.score_figures import ScoreRow
-from kinectbench.core.artefacts.scores import (
-    BaseRate,
-    CategoryAverages,
-    Extremes,
-    OverallAverages,
-)
+from kinectbench.core.artefacts.scores import BaseRate
 from kinectbench.scoring.averages import (
+    OF_RECORDING,
     ObjectMeans,
     ObjectQuality,
     category_averages,
@@ -28,41 +24,14 @@ from kinectbench.scoring.averages import (
 from kinectbench.scoring.uncertainty import MIN_OBJECTS
 
 
-@dataclass(frozen=True)
-class DerivedValues:
-    """The fields of a `ScoreTable` that follow from its rows.
-
-    A heading is a protocol, with kind of registration and part if any: `known`, `aligned-t-visible`.
-
-    Attributes:
-        by_category: {heading: {category: averages}}; None if a pair was not scored.
-        overall: {heading: mean over the categories}; None if a pair was not scored.
-        truth_unknown_share: {object: share of its true shape that is not known}.
-        all_unknown_pairs: {heading: pairs without metrics, because all truth that would be compared is
-            unknown}.
-        notes: one line each.
-        extremes: {heading: pairs with the highest and with the lowest IoU}.
-        iou_by_threshold: {protocol: {category: mean IoU at each threshold}}; None if a pair was not scored,
-            or if rows have no curves (older tables).
-    """
-
-    by_category: dict[str, dict[str, CategoryAverages]] | None
-    overall: dict[str, OverallAverages] | None
-    truth_unknown_share: dict[str, float]
-    all_unknown_pairs: dict[str, tuple[str, ...]]
-    notes: tuple[str, ...]
-    extremes: dict[str, Extremes]
-    iou_by_threshold: dict[str, dict[str, list[float]]] | None
-
-
 def derived_values(
     rows: Sequence[ScoreRow],
     protocols: Sequence[str],
     rates: Mapping[str, BaseRate],
     quality: Mapping[str, QualityFile],
     complete: bool,
-) -> DerivedValues:
-    """Compute the values that follow from the rows.
+) -> dict[str, Any]:
+    """Return {field of `ScoreTable`: value} of the fields that follow from the rows.
 
     There are no averages if a pair was not scored, because a mean over the others could be too high.
 
@@ -81,17 +50,17 @@ def derived_values(
     means = object_means(rows)
     objects = _by_object(rows, quality)
     by_category = category_averages(means, rates, objects) if complete else None
-    return DerivedValues(
-        by_category=by_category,
-        overall=None if by_category is None else overall_averages(by_category, means),
-        truth_unknown_share={
+    return {
+        "by_category": by_category,
+        "overall": None if by_category is None else overall_averages(by_category, means),
+        "truth_unknown_share": {
             name: of.unknown_share for name, of in sorted(objects.items()) if of.unknown_share is not None
         },
-        all_unknown_pairs={name: tuple(pairs) for name, pairs in left_out.items()},
-        notes=tuple(_few_objects(rows, means)),
-        extremes=extremes(rows),
-        iou_by_threshold=curves(rows, protocols) if complete else None,
-    )
+        "all_unknown_pairs": {name: tuple(pairs) for name, pairs in left_out.items()},
+        "notes": tuple(_few_objects(rows, means)),
+        "extremes": extremes(rows),
+        "iou_by_threshold": curves(rows, protocols) if complete else None,
+    }
 
 
 def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> dict[str, ObjectQuality]:
@@ -106,10 +75,7 @@ def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> 
         known = [share for share in shares.values() if share is not None]
         by_object[name] = ObjectQuality(
             own[0].category,
-            estimated_iou=_mean([part.estimated_iou for part in parts]),
-            estimated_iou_low=_mean([part.estimated_iou_low for part in parts]),
-            estimated_iou_high=_mean([part.estimated_iou_high for part in parts]),
-            repeatability_iou=_mean([part.repeatability_iou for part in parts]),
+            **{key: _mean([getattr(part, key) for part in parts]) for key in OF_RECORDING},
             unknown_share=fmean(known) if len(known) == len(shares) else None,
         )
     return by_object

@@ -13,13 +13,12 @@ from kinectbench.core.types import Bools, Progress, no_progress
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import Prediction
-from kinectbench.scoring.equal_predictions import Held, content_of, same_lines
 from kinectbench.scoring.grid_axes import MOST_LOOKED_AT, axes_problem
 from kinectbench.scoring.mesh_prediction import IN_CAMERA, MESHES
 from kinectbench.scoring.method_json import NAMED, changed_files, form_problem, method_problems, read_method
 from kinectbench.scoring.prediction_file import load_hashed, load_prediction
 from kinectbench.scoring.strays import OTHER_MESHES, SUFFIXES, stray_lines
-from kinectbench.scoring.suspicious import MOST_OUTSIDE
+from kinectbench.scoring.suspicious import MOST_OUTSIDE, Held, content_of, same_lines
 from kinectbench.scoring.truth import read_parts, read_voxel_size
 
 NO_PREDICTION = "no prediction; expected"

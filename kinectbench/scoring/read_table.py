@@ -48,10 +48,9 @@ def recomputed(table: ScoreTable, where: str) -> ScoreTable:
     problem = next(contradictions(table), None)
     if problem is None:
         complete = not table.failures and bool(table.complete or table.overall or table.by_category)
-        derived = derived_values(
+        values = derived_values(
             table.rows, table.settings.protocols, table.base_rate, table.truth_quality, complete
-        )
-        values = {name: getattr(derived, name) for name in vars(derived)} | {"marks": marks_of(table)}
+        ) | {"marks": marks_of(table)}
         if values["iou_by_threshold"] is None:  # rows of older tables have no curves
             values["iou_by_threshold"] = table.iou_by_threshold
             problem = next(_off_the_curve(table, values["by_category"] or {}), None)

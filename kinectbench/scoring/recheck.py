@@ -16,7 +16,6 @@ from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.read_table import differing, read_table
-from kinectbench.scoring.request import check_missing
 from kinectbench.scoring.score import score
 from kinectbench.scoring.thresholds import FROM_FILE
 
@@ -64,7 +63,7 @@ def recheck(
         method=stated.method,
         protocols=stated.settings.protocols,
         thresholds_file=thresholds_file,
-        missing=check_missing(stated.settings.missing or "error"),
+        missing=stated.settings.missing or "error",
         upsampling=_upsampling(stated, path),
         surface=bool(stated.settings.surface_metrics),
         close=stated.settings.close,

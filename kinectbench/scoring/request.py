@@ -7,6 +7,7 @@ from typing import get_args
 
 from kinectbench.core import SettingsError, require_extra
 from kinectbench.core.artefacts.score_figures import CLOSINGS
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.executor import Executor
 from kinectbench.scoring.method_json import read_in_camera, read_method
@@ -18,16 +19,19 @@ from kinectbench.scoring.thresholds import read_thresholds
 
 @dataclass(frozen=True)
 class Request:
-    """The options of `score` that may contradict each other or the predictions.
+    """The options of `score`, which may contradict each other or the predictions.
 
     Attributes:
-        protocols: names of protocols; None for all that apply, except `shell`.
-        thresholds_file: a file to read thresholds from.
-        save_thresholds: a file to write chosen thresholds to.
-        missing: "error" or "empty": how a missing prediction is treated.
-        upsampling: "half-pixel" or "corner-aligned".
-        close: how open meshes and points are made solid; None if they are not.
-        jobs: number of processes on this machine, or an executor for other machines.
+        protocols: names of `PROTOCOLS`, or camera, aligned or both; None: all that apply, except shell.
+        thresholds_file: a threshold file (`read_thresholds`); then nothing is chosen on the validation split.
+        save_thresholds: a file for the thresholds; at least one must be chosen on the validation split.
+        missing: "error" lists a missing prediction as a failure; "empty" scores an empty one in its place.
+        upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
+        surface: whether surface metrics are computed; they take most of the time.
+        close: one of `CLOSINGS`, to make open meshes and points in the camera frame solid; None: not at all.
+        jobs: number of processes, or an executor for other machines, or (to check it) that one's address; the
+            result does not depend on it.
+        progress: called with (pairs done, pairs in all), for each method in turn.
         in_parts: whether only one part of the pairs is counted (`count_methods`).
     """
 
@@ -36,9 +40,16 @@ class Request:
     save_thresholds: Path | None = None
     missing: str = "error"
     upsampling: str = HALF_PIXEL
+    surface: bool = True
     close: str | None = None
     jobs: int | Executor | str = 1
+    progress: Progress = no_progress
     in_parts: bool = False
+
+    @property
+    def here(self) -> int:
+        """The number of processes for what is done on this machine."""
+        return self.jobs if isinstance(self.jobs, int) else 1
 
 
 def check_request(request: Request, predictions: Path | None) -> Missing:

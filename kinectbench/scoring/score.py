@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from kinectbench.core import PredictionError, SettingsError, replaced_file
 from kinectbench.core.artefacts.counted import PairResult
@@ -10,16 +11,13 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.score_columns import MOST_ROWS
 from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
-from kinectbench.core.types import Progress, no_progress
-from kinectbench.core.voxels.resample import HALF_PIXEL
-from kinectbench.engine.executor import Executor
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline, describe, make_table
 from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.recognized import is_of_baseline, made_table
 from kinectbench.scoring.camera.score_camera_method import left_out_table, score_in_camera
-from kinectbench.scoring.camera.score_grid_method import score_grid_in_space
+from kinectbench.scoring.camera.score_grid_view import score_grid_in_space
 from kinectbench.scoring.caveats import marks_of
 from kinectbench.scoring.method_json import (
     changed_files,
@@ -35,7 +33,7 @@ from kinectbench.scoring.predictions import (
     strays_of,
 )
 from kinectbench.scoring.protocols import protocols_in_space, space_alone, unfit
-from kinectbench.scoring.request import Request, check_declared, check_request
+from kinectbench.scoring.request import Request, check_declared, check_missing, check_request
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan
 from kinectbench.scoring.strays import NO_TARGET
 from kinectbench.scoring.thresholds import SEARCHED
@@ -48,15 +46,8 @@ def score(
     predictions: Path,
     *,
     method: str,
-    protocols: Sequence[str] | None = None,
-    thresholds_file: Path | None = None,
-    missing: Missing = "error",
-    upsampling: str = HALF_PIXEL,
-    surface: bool = True,
-    jobs: int | Executor = 1,
-    progress: Progress = no_progress,
     resume_in: Path | None = None,
-    close: str | None = None,
+    **options: Any,
 ) -> ScoreTable:
     """Score the test split; predictions of the validation split serve only to choose the thresholds.
 
@@ -64,15 +55,8 @@ def score(
         release: the release that was predicted.
         predictions: one method's folder, with a file `<recording>/<view>` for each view; untrusted.
         method: the method's name.
-        protocols: names of `PROTOCOLS`, or camera, aligned or both; default: all that apply, except shell.
-        thresholds_file: a threshold file (`read_thresholds`); then nothing is chosen on the validation split.
-        missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid in its place.
-        upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
-        surface: whether surface metrics are computed; they take most of the time.
-        jobs: number of processes, or an executor for other machines; the result does not depend on it.
-        progress: called with (pairs done, pairs in all).
         resume_in: a folder where counts are kept until all pairs are counted; None keeps nothing.
-        close: one of `CLOSINGS`, to make open meshes and points in the camera frame solid; None: not at all.
+        options: the attributes of `Request`.
 
     Returns:
         The table. A prediction that cannot be scored is listed in `failures`; all others are scored.
@@ -82,22 +66,22 @@ def score(
         ReleaseError: no test pair, an object in two splits, a pair file missing or changed, truth held back.
         SettingsError: an option is unknown, unusable or does not fit the pairs or method.json; too many rows.
     """
-    here = jobs if isinstance(jobs, int) else 1
-    check_declared(Request(protocols, thresholds_file, None, missing, upsampling, close, jobs), predictions)
+    request = Request(**options)
+    missing = check_missing(request.missing)
+    check_declared(request, predictions)
     if (file := read_in_camera(predictions)) is not None:
-        space = protocols_in_space(protocols, file)
-        return score_in_camera(release, predictions, file, method, space, missing, here, progress, close)
-    asked = plan(release, predictions, thresholds_file, missing)
-    if space := space_alone(protocols, upsampling, close):
-        table = score_grid_in_space(release, asked, method, space, missing, here, progress)
-        if is_of_baseline(release, table, space, here):
+        space = protocols_in_space(request.protocols, file)
+        return score_in_camera(release, predictions, file, method, space, request)
+    asked = plan(release, predictions, request.thresholds_file, missing)
+    if space := space_alone(request.protocols, request.upsampling, request.close):
+        table = score_grid_in_space(release, asked, method, space, request)
+        if is_of_baseline(release, table, space, request.here):
             table = table.model_copy(update={"settings": as_of_baseline(table.settings)})
             table = table.model_copy(update={"marks": marks_of(table)})
         return _with_warnings(table, predictions, asked, release)
-    counting, journal = counting_of(release, protocols, upsampling, surface), Journal(resume_in)
-    _refuse_many_rows(len(release.split("test")), counting.protocols)
-    rounds = Rounds(release, counting, journal, jobs, progress)
-    table = _counted_table(release, asked, method, rounds, describe(counting, missing), here)
+    journal = Journal(resume_in)
+    rounds = _rounds(release, request, journal)
+    table = _counted_table(release, asked, method, rounds, describe(rounds.counting, missing), request.here)
     if table.complete:
         journal.remove()
     return _with_warnings(table, predictions, asked, release)
@@ -145,8 +129,10 @@ def _changed(method: MethodFile | None, files: Mapping[Target, Path | None], tab
     return [changed_line(changed, len(digests))] if changed else []
 
 
-def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
-    """Refuse a table that would have too many rows to be read again, before counting."""
+def _rounds(release: Release, request: Request, journal: Journal) -> Rounds:
+    """Return how to count the pairs; refuse a table that would have too many rows to be read again."""
+    counting = counting_of(release, request.protocols, request.upsampling, request.surface)
+    pairs, protocols = len(release.split("test")), counting.protocols
     if pairs * len(protocols) > MOST_ROWS:
         most = MOST_ROWS // len(protocols)
         raise SettingsError(
@@ -154,6 +140,8 @@ def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
             f"table may have: ask for one --protocol, or score a release of at most {most} pairs",
             what="too-large",
         )
+    assert not isinstance(request.jobs, str)  # an address is for `check_request` alone
+    return Rounds(release, counting, journal, request.jobs, request.progress)
 
 
 def score_methods(
@@ -162,15 +150,7 @@ def score_methods(
     out: Path,
     *,
     method: str | None = None,
-    protocols: Sequence[str] | None = None,
-    thresholds_file: Path | None = None,
-    save_thresholds: Path | None = None,
-    missing: str = "error",
-    upsampling: str = HALF_PIXEL,
-    surface: bool = True,
-    jobs: int | Executor = 1,
-    progress: Progress = no_progress,
-    close: str | None = None,
+    **options: Any,
 ) -> list[ScoreTable]:
     """Score every method in a folder; write `out/scores.json`, or `out/<method>/scores.json` of several.
 
@@ -179,42 +159,22 @@ def score_methods(
         predictions: one method's folder, whose subfolders are recordings, or a folder of methods.
         out: folder for the results.
         method: name of a single method; default: its folder's name.
-        protocols: see `score`; tables of methods that they do not fit are returned last, without scores.
-        thresholds_file: a threshold file (`read_thresholds`).
-        save_thresholds: a file for the thresholds; at least one must be chosen on the validation split.
-        missing: "error" or "empty".
-        upsampling: "half-pixel" or "corner-aligned".
-        surface: see `score`.
-        jobs: see `score`.
-        progress: called with (pairs done, pairs in all) for each method in turn.
-        close: see `score`.
+        options: the attributes of `Request`. Tables of methods that the protocols do not fit are returned
+            last, without scores.
 
     Raises:
         SettingsError: an option contradicts another option, a method.json, or the number of methods.
         PredictionError, ReleaseError: as in `score`, or no prediction of a single method can be scored.
     """
-    request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, jobs)
+    request = Request(**options)
     rule = check_request(request, predictions)
     methods, tables = _methods(release, predictions, method, request), list[ScoreTable]()
-    left_out = _left_out(release, methods, protocols, rule, out)
+    left_out = _left_out(release, methods, request.protocols, rule, out)
     for name, folder in ((name, folder) for name, folder in methods.items() if name not in left_out):
         target = out if len(methods) == 1 else out / name
-        table = score(
-            release,
-            folder,
-            method=name,
-            protocols=protocols,
-            thresholds_file=thresholds_file,
-            missing=rule,
-            upsampling=upsampling,
-            surface=surface,
-            jobs=jobs,
-            progress=progress,
-            resume_in=target,
-            close=close,
-        )
+        table = score(release, folder, method=name, resume_in=target, **options)
         tables.append(_written(table, folder, target, alone=len(methods) == 1))
-        _freeze(release, table, save_thresholds)
+        _freeze(release, table, request.save_thresholds)
     return [*tables, *left_out.values()]
 
 
@@ -269,13 +229,7 @@ def count_methods(
     shard: Shard,
     *,
     method: str | None = None,
-    protocols: Sequence[str] | None = None,
-    thresholds_file: Path | None = None,
-    missing: str = "error",
-    upsampling: str = HALF_PIXEL,
-    surface: bool = True,
-    jobs: int | Executor = 1,
-    progress: Progress = no_progress,
+    **options: Any,
 ) -> int:
     """Count one part of the pairs; a later `score_methods` uses the counts in `out`.
 
@@ -286,17 +240,14 @@ def count_methods(
         The number of pairs of this part without a result, because the prediction is missing or cannot be
         scored.
     """
-    request = Request(protocols, thresholds_file, None, missing, upsampling, None, jobs, in_parts=True)
+    request = Request(**options, in_parts=True)
     rule = check_request(request, predictions)
     methods = _methods(release, predictions, method, request)
     failed = 0
     for name, folder in methods.items():
-        asked = plan(release, folder, thresholds_file, rule)
-        counting = counting_of(release, protocols, upsampling, surface)
-        _refuse_many_rows(len(release.split("test")), counting.protocols)
-        journal = Journal(out if len(methods) == 1 else out / name, shard)
-        rounds = Rounds(release, counting, journal, jobs, progress)
-        outcomes, _ = rounds.count(asked.part(shard, surface=surface), asked.fixed, asked.own)
+        asked = plan(release, folder, request.thresholds_file, rule)
+        rounds = _rounds(release, request, Journal(out if len(methods) == 1 else out / name, shard))
+        outcomes, _ = rounds.count(asked.part(shard, surface=request.surface), asked.fixed, asked.own)
         without = [*asked.failures, *(each for each, result in outcomes.items() if isinstance(result, str))]
         failed += sum(shard.holds(target.recording) for target in without)
     return failed

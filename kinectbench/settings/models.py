@@ -17,10 +17,9 @@ from kinectbench.core import MOST_SIDE_PX, Category, Name, Named, first_clash
 from kinectbench.core.geometry import BoxAnchor, OrientedBox, Pose
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import CLOSED_MEANS, OPEN_MEANS, DepthCode, Framing, PartialRule, Split, Underside
-from kinectbench.settings.base import Settings
+from kinectbench.settings.base import Line, Settings
 from kinectbench.settings.pick import PickSettings
 from kinectbench.settings.publishing import PublishSettings, ReviewSettings
-from kinectbench.settings.texts import Line
 from kinectbench.settings.trajectory_reading import TrajectoryReading
 
 TrajectoryMode = Literal["trust", "refine", "ignore"]

@@ -7,8 +7,7 @@ from typing import Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from kinectbench.core.artefacts.trajectory import Grade
-from kinectbench.settings.base import Settings
-from kinectbench.settings.texts import Line, Text
+from kinectbench.settings.base import Line, Settings, Text
 
 CITED = {
     "version": (r"[A-Za-z0-9][A-Za-z0-9.+-]{0,39}", "a version such as 1.0.0"),

@@ -11,10 +11,9 @@ from pydantic import AfterValidator, Field, model_validator
 from kinectbench.core import Category, Name, SettingsError, below
 from kinectbench.core.store.address import is_web, unusable
 from kinectbench.core.types import Split
-from kinectbench.settings.base import Settings
+from kinectbench.settings.base import Line, Settings
 from kinectbench.settings.models import CameraSettings, SegmentBy, TrajectoryMode
-from kinectbench.settings.texts import Line
-from kinectbench.settings.yaml_model import read_model
+from kinectbench.settings.overrides import read_model
 
 SOURCES_YAML = "sources.yaml"
 # Stands for the scan's id in a file name.

@@ -18,12 +18,11 @@ from small_benchmark import Run, copied, finish, hashes, leftovers, start
 from test_resume import group, wait_for, wait_until_all_ended
 
 from kinectbench.core.storage import replaced_folder
-from kinectbench.engine import parallel, pool
-from kinectbench.engine.executor import SendMessage, WorkerLost
+from kinectbench.engine import executor, parallel
+from kinectbench.engine.executor import Pool, SendMessage, WorkerLost
 from kinectbench.engine.locks import locked, sweep
 from kinectbench.engine.parallel import build
 from kinectbench.engine.pipeline import Outcome
-from kinectbench.engine.pool import Pool
 from kinectbench.engine.stages import Job
 from kinectbench.settings.file import load_benchmark, parse_benchmark
 
@@ -104,8 +103,8 @@ def sent_bytes(count: int, monkeypatch: pytest.MonkeyPatch) -> int:
             future.set_result(Outcome(job.recording.id, (), (), "no such recording", 0.0))
         return futures
 
-    monkeypatch.setattr(pool, "worker_pool", lambda *_: contextlib.nullcontext())
-    monkeypatch.setattr(pool, "submit_all", done_at_once)
+    monkeypatch.setattr(executor, "worker_pool", lambda *_: contextlib.nullcontext())
+    monkeypatch.setattr(executor, "submit_all", done_at_once)
     jobs = [Job(settings, recording, Path("root")) for recording in settings.recordings]
     listener = Listener()
     outcomes = build(jobs, workers=2, watcher=listener)
@@ -134,7 +133,7 @@ def test_an_interrupt_leaves_no_folders_of_recordings_that_had_not_begun(
     def interrupted(*_: object) -> list[Job]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(pool, "_until_killed", interrupted)
+    monkeypatch.setattr(executor, "_until_killed", interrupted)
     with pytest.raises(KeyboardInterrupt):
         build([Job(settings, recording, tmp_path) for recording in settings.recordings], workers=2)
     assert list(tmp_path.iterdir()) == []

@@ -41,7 +41,7 @@ def ingested(root: Path, width: int, height: int, frames: int) -> None:
     (folder / "camera.json").write_text(CAMERA % (width, height, frames))
 
 
-# Peaks of all stages of real recordings, as kinectbench/engine/memory.py lists them.
+# Peaks of all stages of real recordings, as kinectbench/engine/parallel.py lists them.
 @pytest.mark.parametrize(
     ("camera", "box", "peak_gb"),
     [

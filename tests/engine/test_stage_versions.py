@@ -21,7 +21,7 @@ from kinectbench.lab.synthesize.make import Task
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
 from kinectbench.release.publish.publish_if_stale import publish_if_stale
 from kinectbench.release.release import Release, open_release
-from kinectbench.scoring.baselines.for_comparison import comparison_baselines
+from kinectbench.scoring.baselines.in_grids import comparison_baselines
 from kinectbench.scoring.baselines.registry import LEARNED
 from kinectbench.scoring.pair_result import Counting, PairJob
 

@@ -12,9 +12,9 @@ from kinectbench.core.artefacts.method import TrainingFile
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.voxels.convex_hull import filled_hull
 from kinectbench.core.voxels.pair_file import Pair, unpack
+from kinectbench.lab.synthesize.make import make_synthetic_pair
 from kinectbench.lab.synthesize.mesh_check import load_model
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
-from kinectbench.lab.synthesize.pair import make_synthetic_pair
 from kinectbench.lab.synthesize.views import DepthCamera, all_views, virtual_camera
 from kinectbench.networks.config import find_config, write_config
 from kinectbench.networks.convert import fitting_config

@@ -283,8 +283,8 @@ def test_one_category_alone_is_learnt_from(
     assert (told.name, told.objects) == ("tiny-table", tuple(sorted(wanted)))
     made = open_trained(tmp_path / "run")
     assert made.config.training.category == "table" and made.config.of_category("table") == made.config
-    run_of_it = run_of(made, learning, None, "packed", "cpu")
-    method = method_of(made, learning, run_of_it, [], "cpu")
+    run_of_it = run_of(made, learning, None, "packed")
+    method = method_of(made, learning, run_of_it, [])
     assert (
         method.name == "tiny-table" and (method.settings or {})["config"]["training"]["category"] == "table"
     )

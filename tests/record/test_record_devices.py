@@ -219,7 +219,7 @@ def test_librealsense_itself_is_recorded_with_equal_depth(tmp_path: Path) -> Non
 
 PRINTS = """
 import ctypes, sys
-from kinectbench.record.quiet import quiet
+from kinectbench.record.interface import quiet
 libc = ctypes.CDLL(None)
 libc.printf(b"before\\n")
 with quiet():

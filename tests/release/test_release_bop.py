@@ -24,8 +24,7 @@ from read_pictures import read_picture
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.camera import DepthRenderer
-from kinectbench.release.exchange.bop import export_bop
-from kinectbench.release.exchange.bop_object import model_info, object_in_view
+from kinectbench.release.exchange.bop import export_bop, model_info, object_in_view
 from kinectbench.release.release import open_release
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.readers.bop import BopRecording

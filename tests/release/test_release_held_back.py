@@ -29,8 +29,8 @@ from kinectbench.core.voxels.pair_file import (
     read_pair,
     unpack,
 )
-from kinectbench.release.check.pair_check import input_problems
 from kinectbench.release.check.verify import verify
+from kinectbench.release.check.view_check import input_problems
 from kinectbench.release.exchange.recgan import export_recgan
 from kinectbench.release.publish.held_back import own_world, without_truth
 from kinectbench.release.publish.publish import PublishSummary, publish

@@ -16,7 +16,7 @@ from small_benchmark import Run, copied, hashes
 
 from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
 from kinectbench.core.storage import write_below
-from kinectbench.release.hub import hub_name, put_on_hub
+from kinectbench.release.put import hub_name, put_on_hub
 from kinectbench.release.release import Release
 
 Command = Callable[..., Run]

@@ -28,7 +28,7 @@ from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.release.check.rebuild import LocalRecording, rebuild_plan
 from kinectbench.release.check.verify import verify
 from kinectbench.release.opening import open_contents
-from kinectbench.release.publish.isolate import isolate
+from kinectbench.release.publish.held_back import isolate
 from kinectbench.release.publish.publish import PublishSummary, publish
 from kinectbench.release.release import open_release
 from kinectbench.scoring.baselines.predict import write_baselines

@@ -73,11 +73,12 @@ def test_settings_cards_and_messages_explain_the_words_alike() -> None:
 
 def test_card_and_datasheet_say_it() -> None:
     infos = {"a": recording("closed", 0.125), "b": recording("unseen", 0.0), "c": recording(None)}
-    card = card_figures(model_of(ReleaseInfo, recordings=infos))
+    info = model_of(ReleaseInfo, recordings=infos)
+    card = card_figures(info)
     table = card.splitlines()
     assert table[0].endswith("| seen from below only, of the solid | underside, as stated |")
     assert table[2].endswith("| 12.5 % | closed |") and table[4].endswith("|  |  |")
-    sheet = datasheet(synthetic_settings(), (), infos, "none", ())
+    sheet = datasheet(info, synthetic_settings(), (), (), "none")
     assert underside_line(infos) in card and f"- {underside_line(infos)}\n" in sheet
     assert "could be seen from below only: 6.25 (0 to 12.5) %, of 2 recordings" in sheet
 

@@ -15,8 +15,8 @@ from kinectbench.core.artefacts.targets import benchmark_sha256
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.voxels.pair_file import Pair, pack
-from kinectbench.release.check.pair_check import pair_problems
 from kinectbench.release.check.verify import CHANGED, EXTRA, MISSING, verify
+from kinectbench.release.check.view_check import pair_problems
 from kinectbench.release.release import Release
 
 

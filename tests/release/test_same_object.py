@@ -13,7 +13,7 @@ from kinectbench.core.geometry import Grid
 from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.types import Bools
 from kinectbench.lab.simulate.objects import make_object
-from kinectbench.release.triage.same_object import LEAST_AGREEMENT, Shape, same_objects, shape_agreement
+from kinectbench.release.triage.triage import LEAST_AGREEMENT, Shape, same_objects, shape_agreement
 
 
 @pytest.mark.parametrize("family", ["chair", "bench", "mug"])

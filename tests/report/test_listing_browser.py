@@ -46,7 +46,8 @@ def written(release: Release, folder: Path, count: int) -> str:
         (folder / "views" / each).symlink_to(release.folder / "views" / name)
     warnings = [f"{each}: doubtful" for each in names]
     settings = parse_benchmark("{name: many, recordings: [{id: a, path: a, category: c}]}", "settings")
-    page = index_page.preview_text(folder, settings, targets, infos, warnings, [])
+    all_of_it = release.metadata.model_copy(update={"recordings": infos})
+    page = index_page.preview_text(all_of_it, settings, targets, warnings, folder)
     (folder / "index.html").write_text(page)
     return page
 

@@ -15,7 +15,7 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError
 from kinectbench.release.release import Release
 from kinectbench.report.paper_table import paper_markdown, paper_tables
-from kinectbench.scoring.baselines.for_comparison import comparison_baselines
+from kinectbench.scoring.baselines.in_grids import comparison_baselines
 from kinectbench.scoring.score import score_methods
 
 Command = Callable[..., Run]

@@ -20,7 +20,7 @@ from kinectbench.core.geometry import Grid, TriangleMesh, rigid
 from kinectbench.core.geometry.boxes import OrientedBox
 from kinectbench.core.geometry.mesh import box_mesh, write_ply
 from kinectbench.engine.stages import Job
-from kinectbench.report import figures, recording, unseen
+from kinectbench.report import figures, recording
 from kinectbench.report.page import write_report
 from kinectbench.report.plan import draw_plan, look_arrows
 from kinectbench.report.recording import RecordingPart, collect
@@ -118,7 +118,7 @@ def test_a_surface_at_the_edge_of_the_grid() -> None:
     assert unmeasured(below.transformed(T_WORLD_GRID), volume).all()
 
 
-def decoded(side: unseen.ObjectPicture) -> np.ndarray:
+def decoded(side: recording.ObjectPicture) -> np.ndarray:
     return decoded_picture(base64.b64decode(side.picture.partition(",")[2]))[..., ::-1].astype(int)
 
 
@@ -139,12 +139,12 @@ def test_what_nobody_saw_is_orange_and_an_arrow_shows_from_where() -> None:
     normals = np.cross(first, second)
     top = normals[:, 2] > 0.5
     assert top.sum() == 2
-    plain = unseen.object_pictures(box, np.zeros(12, bool), ())
+    plain = recording.object_pictures(box, np.zeros(12, bool), ())
     assert [side.caption for side in plain] == ["", "", ""]
     assert all(share(decoded(side), "grey") > 0.3 for side in plain)
     assert all(share(decoded(side), "orange") == share(decoded(side), "blue") == 0 for side in plain)
     above = frontier(direction="up", center_m=(0, 0, 1.0), look_from=(0, 0, 1.0))
-    sides = [decoded(side) for side in unseen.object_pictures(box, top, (above,))]
+    sides = [decoded(side) for side in recording.object_pictures(box, top, (above,))]
     assert len(sides) == 4
     assert all(share(side, "orange") > 0.05 and share(side, "blue") > 0.005 for side in sides)
     # From where it would be seen, the unseen top is most of what is drawn.
@@ -159,7 +159,7 @@ def test_an_arrow_from_behind_is_left_out() -> None:
     box = box_mesh(OrientedBox((0, 0, 0.5), (1.0, 1.0, 1.0), 0.0))
     azimuth = np.deg2rad(70.0)  # of the second look
     beside = frontier(center_m=(0, 0, 0.5), look_from=(-float(np.cos(azimuth)), -float(np.sin(azimuth)), 0))
-    sides = [decoded(side) for side in unseen.object_pictures(box, np.zeros(12, bool), (beside,))]
+    sides = [decoded(side) for side in recording.object_pictures(box, np.zeros(12, bool), (beside,))]
     assert share(sides[1], "blue") == 0
     assert share(sides[2], "blue") > 0.005 and share(sides[3], "blue") > 0.005
 
@@ -176,7 +176,7 @@ def test_an_arrow_from_behind_is_left_out() -> None:
 def test_from_where_a_frontier_is_drawn(
     look_from: tuple[float, float, float], expected: tuple[float, float]
 ) -> None:
-    assert unseen._look_deg(frontier(look_from=look_from)) == pytest.approx(expected, abs=0.01)
+    assert recording._look_deg(frontier(look_from=look_from)) == pytest.approx(expected, abs=0.01)
 
 
 def test_pieces_keep_their_colours_and_their_depth() -> None:

@@ -22,6 +22,7 @@ from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.compare import compare as compare_tables
 from kinectbench.scoring.protocols import PRIMARY
+from kinectbench.scoring.request import Request
 from kinectbench.scoring.score import score, score_methods
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -92,13 +93,13 @@ def test_scorer_gives_what_files_give_where_a_category_has_no_validation(
 
 
 def test_an_option_has_one_default() -> None:
-    """The command, both functions behind it and the scorer count alike unless they are told otherwise."""
-    ways = (commands_score.score_command, score_methods, score, kinectbench.Scorer)
+    """The command, the request behind it and the scorer count alike unless they are told otherwise."""
+    ways = (commands_score.score_command, Request, kinectbench.Scorer)
     for name in ("surface", "upsampling", "missing", "thresholds_file"):
         defaults = [
             parameters[name].default for way in ways if name in (parameters := signature(way).parameters)
         ]
-        assert len(defaults) >= 3 and all(default == defaults[0] for default in defaults), name
+        assert len(defaults) >= 2 and all(default == defaults[0] for default in defaults), name
     assert signature(compare_tables).parameters["protocol"].default == PRIMARY
     assert signature(commands_score.compare_command).parameters["protocol"].default == PRIMARY
 

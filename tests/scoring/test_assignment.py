@@ -7,8 +7,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from kinectbench.core.types import Float64
-from kinectbench.scoring.camera import assignment
-from kinectbench.scoring.camera.assignment import WITHIN, assigned_mean_m
+from kinectbench.scoring.camera import bounds
+from kinectbench.scoring.camera.bounds import WITHIN, assigned_mean_m
 
 MANY = 16_384
 
@@ -45,5 +45,5 @@ def test_sets_that_are_equal_or_one_place() -> None:
 
 
 def test_without_an_end_there_is_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(assignment, "MOST_BIDS", 1)
+    monkeypatch.setattr(bounds, "MOST_BIDS", 1)
     assert assigned_mean_m(shell(500, 0), shell(500, 1)) is None

@@ -11,8 +11,7 @@ from kinectbench.core.artefacts.scores import OVERALL
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.release.release import Release, open_release
-from kinectbench.scoring.baselines.for_comparison import comparison_baselines
-from kinectbench.scoring.baselines.in_grids import score_baselines
+from kinectbench.scoring.baselines.in_grids import comparison_baselines, score_baselines
 from kinectbench.scoring.baselines.predict import write_baselines
 from kinectbench.scoring.camera_shape import occupancy_shape, write_shape
 from kinectbench.scoring.prediction_file import load_prediction

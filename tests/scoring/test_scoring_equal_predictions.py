@@ -8,8 +8,8 @@ import pytest
 from small_benchmark import Run
 
 from kinectbench.release.release import Release
-from kinectbench.scoring.equal_predictions import content_of, same_lines
 from kinectbench.scoring.predictions import check_grids
+from kinectbench.scoring.suspicious import content_of, same_lines
 
 Grid = Callable[[int], np.ndarray]
 NOISE = np.random.default_rng(0).random((4, 8, 8, 8)).astype(np.float32)

@@ -15,7 +15,7 @@ from kinectbench.core.artefacts.counted import JOURNAL
 from kinectbench.core.errors import StorageError
 from kinectbench.release.release import Release
 from kinectbench.scoring import pair_result
-from kinectbench.scoring.baselines.for_comparison import comparison_baselines
+from kinectbench.scoring.baselines.in_grids import comparison_baselines
 from kinectbench.scoring.pair_result import CHECKED_SHARE, LEAST_CHECKED, PairJob, count_job, drawn
 from kinectbench.scoring.score import score
 

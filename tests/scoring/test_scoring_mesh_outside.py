@@ -9,8 +9,7 @@ import trimesh
 from kinectbench.core.errors import PredictionError
 from kinectbench.release.release import Release
 from kinectbench.scoring.baselines.predict import write_baselines
-from kinectbench.scoring.mesh_outside import outside_share
-from kinectbench.scoring.mesh_prediction import IN_CAMERA
+from kinectbench.scoring.mesh_prediction import IN_CAMERA, outside_share
 from kinectbench.scoring.prediction_file import Loaded, load_hashed
 from kinectbench.scoring.predictions import check
 from kinectbench.scoring.score import score

@@ -65,7 +65,7 @@ def test_faces_and_normals_of_cells_are_those_of_their_definition(size: tuple[in
 @pytest.mark.parametrize("even", [False, True])
 def test_the_two_nearest_are_those_of_a_tree(count: int, even: bool) -> None:
     """Wherever the search begins, and of samples that are there twice and far away, too."""
-    from kinectbench.scoring.camera.box_tree import near_together, two_nearest
+    from kinectbench.scoring.camera.nearest import near_together, two_nearest
 
     rng = np.random.default_rng(2)
     samples = rng.integers(0, 9, (count, 3)) / 8.0 if even else rng.random((count, 3)) ** 3
@@ -90,7 +90,7 @@ def test_the_two_nearest_are_those_of_a_tree(count: int, even: bool) -> None:
 
 def test_of_equally_near_samples_no_earlier_search_decides() -> None:
     """A hundred points in the middle of cells of an even grid: eight samples are equally near to each."""
-    from kinectbench.scoring.camera.box_tree import two_nearest
+    from kinectbench.scoring.camera.nearest import two_nearest
 
     samples = np.argwhere(np.ones((8, 8, 8))) / 8.0
     rng = np.random.default_rng(3)

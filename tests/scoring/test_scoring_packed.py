@@ -13,8 +13,7 @@ from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.release.release import open_release
 from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, tally
-from kinectbench.scoring.packed_prediction import CODES, LEVELS, packed, unpacked
-from kinectbench.scoring.prediction_file import load_prediction
+from kinectbench.scoring.prediction_file import CODES, LEVELS, load_prediction, packed, unpacked
 from kinectbench.scoring.truth import read_packed_truth
 
 ONE = 0x3C00

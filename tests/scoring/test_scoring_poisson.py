@@ -17,7 +17,7 @@ from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.release.release import open_release
 from kinectbench.report.space_table import space_table
-from kinectbench.scoring.camera import winding
+from kinectbench.scoring.camera import solid
 from kinectbench.scoring.camera.solid import solid_in, to_be_closed
 from kinectbench.scoring.camera.surface import surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
@@ -77,7 +77,7 @@ def test_a_soup_takes_bounded_time(monkeypatch: pytest.MonkeyPatch) -> None:
     made = present(to_be_closed(soup, surface_of(soup), "poisson"))
     # Cells of 1/64 of the shape have at most so many; it stays open, and counts as one that winding closes.
     assert len(made.faces) < 64**3 and closed_mesh(made) is None
-    monkeypatch.setattr(winding, "MOST_STEPS", 10_000)
+    monkeypatch.setattr(solid, "MOST_STEPS", 10_000)
     with raises(PredictionError, "prediction.too-large"):
         solid_in(nothing(), made, None, np.eye(4), "poisson")
 

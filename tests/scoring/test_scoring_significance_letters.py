@@ -8,7 +8,7 @@ import pytest
 from score_rows import row, table
 
 from kinectbench.scoring.compare import compare
-from kinectbench.scoring.significance_letters import significance_letters
+from kinectbench.scoring.uncertainty import significance_letters
 
 
 def apart(*pairs: str) -> set[frozenset[str]]:

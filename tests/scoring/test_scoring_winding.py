@@ -14,8 +14,8 @@ from kinectbench.core.artefacts.scores import OVERALL
 from kinectbench.core.errors import SettingsError
 from kinectbench.release.release import open_release
 from kinectbench.report.space_table import space_table
-from kinectbench.scoring.camera import winding
-from kinectbench.scoring.camera.winding import inside_winding
+from kinectbench.scoring.camera import solid
+from kinectbench.scoring.camera.solid import inside_winding
 from kinectbench.scoring.camera_shape import CameraShape, write_shape
 from kinectbench.scoring.recheck import recheck
 from kinectbench.scoring.score import score
@@ -103,7 +103,7 @@ def test_open_meshes_are_scored_as_solids_where_that_is_asked(
     table.write(tmp_path / "scores")
     assert recheck(release, tmp_path / "scores" / "scores.json", folder) == []
     assert score(release, folder, method="open", protocols=["camera"]).averages("camera")[OVERALL].iou is None
-    monkeypatch.setattr(winding, "MOST_STEPS", 10_000)
+    monkeypatch.setattr(solid, "MOST_STEPS", 10_000)
     (reason, *_) = {found.reason for found in score(release, folder, method="open", close="winding").failures}
     assert "faces across each other; simplify the mesh" in reason
     with raises(SettingsError, "settings.wrong-value", "--close hull: choose winding or poisson"):

@@ -2,7 +2,6 @@
 
 from kinectbench.core.geometry.boxes import BoxAnchor, Grid, OrientedBox, Pose, yaw_rotation
 from kinectbench.core.geometry.camera import Camera, DepthRenderer, image_normals
-from kinectbench.core.geometry.closed import is_closed, joined_vertices, outwards, three_corners, why_open
 from kinectbench.core.geometry.decimate import decimated, surface_distances_m
 from kinectbench.core.geometry.depth import (
     MOST_MM,
@@ -23,12 +22,17 @@ from kinectbench.core.geometry.mesh import (
     Tensors,
     TriangleMesh,
     box_mesh,
+    is_closed,
     isosurface,
     join,
+    joined_vertices,
+    outwards,
     parse_ply,
     poisson_surface,
     raycaster,
     read_own_ply,
+    three_corners,
+    why_open,
     write_ply,
 )
 from kinectbench.core.geometry.plane_fit import ransac_plane, refine

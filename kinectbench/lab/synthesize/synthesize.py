@@ -42,7 +42,7 @@ from kinectbench.lab.synthesize.models import (
 from kinectbench.release.contents import release_files
 from kinectbench.release.exchange.layouts import names_sha256, refuse_others
 from kinectbench.release.publish.card import CardTexts
-from kinectbench.release.publish.small_files import Head, write_small_files
+from kinectbench.release.publish.small_files import release_info, write_small_files
 from kinectbench.release.published import release_text
 from kinectbench.release.release import Target
 from kinectbench.scoring.workers import run_tasks
@@ -153,8 +153,8 @@ def _complete(
                 )
     pairs = PairSettings(framing=settings["framing"], min_containment=settings["min_containment"])
     public = {"pairs": pairs.model_dump(mode="json"), "synthesis": settings}
-    head = Head(settings["name"], settings["license"], settings["framing"], "any", public, TEXTS)
-    return write_small_files(head, folder, tuple(sorted(targets)), infos, lines)
+    info = release_info(settings["name"], settings["license"], settings["framing"], "any", public, infos)
+    return write_small_files(info, folder, tuple(sorted(targets)), lines, TEXTS)
 
 
 def _link(source: Path, target: Path) -> None:

@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from kinectbench.core import CaptureError, SettingsError, missing_extra
-from kinectbench.record.interface import Device
-from kinectbench.record.quiet import in_a_line, quiet
+from kinectbench.record.interface import Device, in_a_line, quiet
 
 # name -> "module:class"; without --device the first device that is plugged in is used.
 DEVICES: dict[str, str] = {

@@ -21,8 +21,7 @@ from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.types import Float64
 from kinectbench.record.guide.guide import Guide, Snapshot, mesh_bytes
 from kinectbench.record.guide.server import PageServer
-from kinectbench.record.interface import Frame, Setup
-from kinectbench.record.quiet import in_a_line
+from kinectbench.record.interface import Frame, Setup, in_a_line
 from kinectbench.settings.pick import PICK_FILE, PickSettings
 
 # Time for the process to start: 2 to 5 s are usual, to load libraries and compiled functions.

@@ -32,7 +32,7 @@ from kinectbench.release.check.figure_check import (
     quality_problems,
     refused_problems,
 )
-from kinectbench.release.check.missing_files import hidden_files
+from kinectbench.release.check.promises import hidden_files
 from kinectbench.release.contents import (
     CARD,
     CITATION,
@@ -50,8 +50,7 @@ from kinectbench.release.contents import (
 from kinectbench.release.publish import card, datasheet
 from kinectbench.release.publish.attribution import common_license, license_text, markdown_line
 from kinectbench.release.publish.gate import left_out_line, look_line, poor_line
-from kinectbench.release.publish.held_back import VIEW_KEYS
-from kinectbench.release.publish.isolate import isolated_line
+from kinectbench.release.publish.held_back import VIEW_KEYS, isolated_line
 from kinectbench.release.publish.previews import row_picture, rows_text
 from kinectbench.release.publish.reconstruction_attack import attack_line
 from kinectbench.release.publish.schemas import schema_problems

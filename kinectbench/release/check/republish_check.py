@@ -28,9 +28,8 @@ from kinectbench.release.contents import (
     release_files,
     release_json,
 )
-from kinectbench.release.publish.category_pages import category_texts
 from kinectbench.release.publish.gate import gate
-from kinectbench.release.publish.index_page import preview_text
+from kinectbench.release.publish.index_page import category_texts, preview_text
 from kinectbench.release.publish.object_glb import write_glbs
 from kinectbench.release.publish.previews import write_view_pictures
 from kinectbench.release.publish.privacy import scrubbed
@@ -75,9 +74,8 @@ def republished_differences(
         if made.keys() == info.recordings.keys() and info.package_version == __version__:
             every = release_settings(info)  # pages speak of recordings that are left out, too
             warnings = stated_warnings(info, every, targets, contents.text(CARD))
-            given = (every, targets, info.recordings, warnings)
-            pages = {PREVIEW: preview_text(folder, *given, (), build)}
-            pages |= category_texts(folder, every, targets, info.recordings, ())
+            pages = {PREVIEW: preview_text(info, every, targets, warnings, folder, build)}
+            pages |= category_texts(info, every, targets, folder)
             for name, text in pages.items():
                 if name in contents.entries:
                     stated = said_without_advice(contents.text(name))

@@ -33,13 +33,11 @@ from kinectbench.core.voxels.pair_file import (
     pair_values,
 )
 from kinectbench.release.check.agreement_check import Stated, agreement_problems
-from kinectbench.release.check.missing_files import missing_files
 from kinectbench.release.check.object_check import object_problems, recording_of, surface_lines
-from kinectbench.release.check.pair_check import input_problems, pair_problems
-from kinectbench.release.check.promises import promise_problems
+from kinectbench.release.check.promises import missing_files, promise_problems
 from kinectbench.release.check.text_check import text_problems
 from kinectbench.release.check.truth_check import TruthCheck
-from kinectbench.release.check.view_check import StatedView, view_lines
+from kinectbench.release.check.view_check import StatedView, input_problems, pair_problems, view_lines
 from kinectbench.release.contents import AGAIN, GLB, OBJECT_FILES, SURFACES, VIEW_IMAGES, Contents
 from kinectbench.release.fetch import stored_hashes
 from kinectbench.release.opening import open_contents

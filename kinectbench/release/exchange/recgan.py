@@ -53,10 +53,10 @@ from kinectbench.release.exchange.layouts import (
 )
 from kinectbench.release.own_folder import refuse_other_content
 from kinectbench.release.publish.card import CardTexts
-from kinectbench.release.publish.small_files import Head, write_small_files
+from kinectbench.release.publish.small_files import release_info, write_small_files
 from kinectbench.release.release import Release
+from kinectbench.settings.base import Line
 from kinectbench.settings.models import PairSettings
-from kinectbench.settings.texts import Line
 
 SPLITS = {theirs: split for split, theirs in SPLIT_NAMES.items()}
 PATH = re.compile(
@@ -217,15 +217,15 @@ def import_recgan(folder: Path, out: Path, progress: Progress = no_progress, vie
             targets.append(replace(one.target, sha256=sha256_file(path)))
             progress(done, len(pairs))
         first = pairs[0].values
-        head = Head(
+        info = release_info(
             content.name or (followed(folder).name or "imported") + ("" if views is None else f"-{views}"),
             content.license,
             first.get("framing", "object"),
             first.get("partial_rule", "any"),
             {"pairs": PairSettings(min_containment=0.0).model_dump(mode="json")},
-            TEXTS,
+            _infos(targets),
         )
-        write_small_files(head, temporary, tuple(sorted(targets)), _infos(targets), [])
+        write_small_files(info, temporary, tuple(sorted(targets)), [], TEXTS)
     return len(targets)
 
 

@@ -37,7 +37,7 @@ from kinectbench.core.voxels.view_grids import partial_grids, view_cube
 from kinectbench.release.contents import surface_name
 from kinectbench.release.own_folder import refuse_other_content
 from kinectbench.release.publish.card import CardTexts
-from kinectbench.release.publish.small_files import Head, write_small_files
+from kinectbench.release.publish.small_files import release_info, write_small_files
 from kinectbench.release.view_images import DEPTH, MASK, depth_mm
 from kinectbench.settings.models import PairSettings
 
@@ -116,16 +116,11 @@ def import_redwood10(folder: Path, out: Path, progress: Progress = no_progress) 
         for done, name in enumerate(there, start=1):
             targets.append(_written(name, _scan(folder, name), temporary))
             progress(done, len(there))
-        head = Head(
-            followed(folder).name or "redwood10",
-            LICENSE,
-            "view",
-            "any",
-            {"pairs": PairSettings(framing="view", min_containment=0.0).model_dump(mode="json")},
-            TEXTS,
-            surface_truth=("test",),
-        )
-        write_small_files(head, temporary, tuple(targets), {t.recording: _info(t) for t in targets}, [])
+        name = followed(folder).name or "redwood10"
+        settings = {"pairs": PairSettings(framing="view", min_containment=0.0).model_dump(mode="json")}
+        infos = {target.recording: _info(target) for target in targets}
+        info = release_info(name, LICENSE, "view", "any", settings, infos, surface_truth=("test",))
+        write_small_files(info, temporary, tuple(targets), [], TEXTS)
     return len(targets)
 
 

@@ -19,7 +19,7 @@ from kinectbench.core.types import CLOSED_MEANS, Float64, Underside
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS
 from kinectbench.release.contents import LICENSE, PREVIEWS, SPLIT_TARGETS
 from kinectbench.release.publish.attribution import HUGGING_FACE, markdown_line
-from kinectbench.release.publish.isolate import isolated_line
+from kinectbench.release.publish.held_back import isolated_line
 
 # Key of quality.json -> label, format, factor.
 QUALITY = {

@@ -29,7 +29,7 @@ FILE_SETS: dict[str, tuple[str, str | list[str], str]] = {
     "objects": ("objects/*/*", "application/octet-stream", "floor, closed mesh and labelled volume"),
     "shown-objects": ("objects/*.glb", "model/gltf-binary", "each object for viewers, of fewer triangles"),
 }
-# Files that are written after croissant.json, which does not list them.
+# Files that croissant.json does not list.
 LATER = (CROISSANT, CARD, BENCHMARK_JSON)
 # From the file name: pandas, with which readers load the table, would turn 007 into a number.
 VIEW_IN_FILE = r"pairs/[^/]+/([0-9]+)\.npz"
@@ -41,12 +41,13 @@ def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS
 
     Args:
         about: the description of the release.
-        folder: the release's folder, with all files but those in `LATER`, and SHA256SUMS.
+        folder: the release's folder; files in `LATER` and SHA256SUMS may be missing.
         columns: columns of the release's targets.csv.
 
     Source: https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, …/croissant-rai-spec.html
     """
-    names = [path.relative_to(folder).as_posix() for path in release_files(folder)]
+    files = (path.relative_to(folder).as_posix() for path in release_files(folder))
+    names = [name for name in files if name not in LATER]
     sums = {name: sha256_file(folder / name) for name in names if _is_described(name)}
     return described(about) | described_files(dict.fromkeys(names, "") | sums, columns)
 

@@ -6,7 +6,7 @@ from statistics import median
 from string import Template
 
 from kinectbench._version import __version__
-from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.artefacts.benchmark import RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.object import INTERVAL_HIGH, INTERVAL_LOW
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.release.publish.attribution import (
@@ -17,7 +17,7 @@ from kinectbench.release.publish.attribution import (
     without_tags,
 )
 from kinectbench.release.publish.card import counts_table, underside_line
-from kinectbench.release.publish.isolate import isolated_line
+from kinectbench.release.publish.held_back import isolated_line
 from kinectbench.settings.models import BenchmarkSettings
 
 TEMPLATE = Path(__file__).with_name("datasheet.md")
@@ -43,25 +43,25 @@ def unanswered(settings: BenchmarkSettings) -> list[str]:
 
 
 def datasheet(
+    info: ReleaseInfo,
     settings: BenchmarkSettings,
     targets: Sequence[Target],
-    infos: Mapping[str, RecordingInfo],
-    color: str,
     warnings: Sequence[str],
-    held_back: Sequence[str] = (),
-    isolated: Sequence[str] = (),
+    color: str,
 ) -> str:
     """Return the datasheet as Markdown.
 
     Args:
+        info: content of benchmark.json; held-back recordings have no quality.
         settings: the benchmark's settings; `publish.datasheet` has the answers.
         targets: every pair.
-        infos: {recording: its entry in benchmark.json}; held-back recordings have no quality.
-        color: whether colour images are "left out", "published" or do not exist ("none").
         warnings: the release's warnings, one line each.
-        held_back: splits of which only inputs are published.
-        isolated: recordings of which a single view is published.
+        color: whether colour images are "left out", "published" or do not exist ("none").
     """
+    infos, held_back = info.recordings, "Nothing is held back."
+    if info.held_back:
+        held_back = f"The truth of the split {', '.join(info.held_back)} is held back."
+        held_back += f" {isolated_line(info.isolated)}" if info.isolated else ""
     given = settings.publish.datasheet.model_dump()
     answers = {key: without_tags(value or NOT_STATED) for key, value in given.items()}
     refused = sum(info.refused for info in infos.values())
@@ -70,14 +70,7 @@ def datasheet(
         name=settings.name,
         package_version=__version__,
         counts=counts_table(targets),
-        held_back=" ".join(
-            [
-                f"The truth of the split {', '.join(held_back)} is held back."
-                if held_back
-                else "Nothing is held back.",
-                *([isolated_line(isolated)] if isolated and held_back else []),
-            ]
-        ),
+        held_back=held_back,
         sensors=_sources(infos),
         strategy=settings.views.strategy,
         seed=str(settings.views.seed),

@@ -4,8 +4,9 @@ The page of a large release lists all recordings, but shows only some of them, e
 pictures of one view each. Scripts in the page turn the objects and search the list.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from scipy import ndimage
 
 from kinectbench._version import __version__
 from kinectbench.core import listed
-from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.artefacts.benchmark import RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.targets import SPLITS, Target, by_recording
 from kinectbench.core.geometry import read_own_ply
@@ -23,8 +24,8 @@ from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.turntable import FRAMES, QUALITY, turntable
 from kinectbench.core.types import Bools, Float64, Rgb
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, read_input, read_pair, unpack
-from kinectbench.release.contents import OBJECT_FILES
-from kinectbench.release.publish.card import quality_words
+from kinectbench.release.contents import CATEGORIES, OBJECT_FILES
+from kinectbench.release.publish.card import category_words, quality_words
 from kinectbench.release.publish.object_glb import colored_scene
 from kinectbench.release.publish.previews import depth_with_mask
 from kinectbench.settings.models import BenchmarkSettings
@@ -48,38 +49,34 @@ CAPTIONS_HELD_BACK = ("depth and mask", "partial, as seen", "partial, from the r
 
 
 def preview_text(
-    folder: Path | None,
+    info: ReleaseInfo,
     settings: BenchmarkSettings,
     targets: Sequence[Target],
-    infos: Mapping[str, RecordingInfo],
     warnings: Sequence[str],
-    held_back: Sequence[str],
+    folder: Path | None = None,
     build: Path | None = None,
-    isolated: Sequence[str] = (),
 ) -> str:
     """Return the text of index.html; no isolated recording is pictured.
 
     Args:
-        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
+        info: content of benchmark.json.
         settings: the benchmark's settings.
         targets: every pair.
-        infos: {recording: its entry in benchmark.json}.
         warnings: the release's warnings, one line each.
-        held_back: splits of which only inputs are published.
+        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
         build: folder with scene meshes, which give objects their colours if colour is published.
-        isolated: recordings of which a single view is published.
 
     Raises:
         PairError: a pair is damaged.
         StorageError: a picture is damaged.
     """
-    of_recording = by_recording(targets)
+    of_recording, infos = by_recording(targets), info.recordings
     large = len(infos) > SHOWN
-    names = spread([name for name in infos if name not in isolated], SHOWN)
+    names = spread([name for name in infos if not info.isolates(name)], SHOWN)
     views = 1 if large else VIEWS
     scenes = build if settings.publish.color else None
     parts = [
-        _part(folder, scenes, name, infos[name], of_recording[name], infos[name].split in held_back, views)
+        _part(folder, scenes, name, infos[name], of_recording[name], info.hides(name), views)
         for name in names
     ]
     warnings_shown = warnings[:MOST_WARNINGS] if large else warnings
@@ -93,9 +90,9 @@ def preview_text(
         "pairs": len(targets),
         "warnings": warnings_shown,
         "more_warnings": len(warnings) - len(warnings_shown),
-        "categories": sorted({info.category for info in infos.values()}),
-        "held_back": ", ".join(held_back),
-        "isolated": listed(isolated),
+        "categories": sorted({each.category for each in infos.values()}),
+        "held_back": ", ".join(info.held_back),
+        "isolated": listed([name for name in info.isolated if info.isolates(name)]),
         "frames": FRAMES,
         "turns": any(part["turntable"] for part in parts),
         "package_version": __version__,
@@ -259,3 +256,52 @@ def _blurred(depth: Float64, covered: Bools) -> Float64:
     total = ndimage.convolve(np.where(covered, depth, 0.0), around, mode="constant")
     count = ndimage.convolve(covered.astype(np.float64), around, mode="constant")
     return np.where(covered, total / np.maximum(count, 1), 0.0)
+
+
+# Every second of 256 cells is shown: 128 pixels, 2 kB as a JPEG of this quality. A page of ten thousand
+# objects takes 40 of the 64 MB that a page may have.
+STEP, OBJECT_QUALITY = 2, 75
+
+
+def category_texts(
+    info: ReleaseInfo, settings: BenchmarkSettings, targets: Sequence[Target], folder: Path | None = None
+) -> Iterator[tuple[str, str]]:
+    """Yield (file, text) of each category's page. Isolated recordings are listed without a picture.
+
+    Args:
+        info: content of benchmark.json.
+        settings: the benchmark's settings.
+        targets: every pair.
+        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
+
+    Raises:
+        PairError: a pair is damaged.
+    """
+    of_recording, infos = by_recording(targets), info.recordings
+    for category in sorted({each.category for each in infos.values()}):
+        shown: list[dict[str, Any]] = [
+            {
+                "name": name,
+                "info": each,
+                "held_back": (hidden := info.hides(name)),
+                "picture": None if info.isolates(name) else _picture(folder, of_recording[name][0], hidden),
+                "words": category_words(each),
+            }
+            for name, each in sorted(infos.items())
+            if each.category == category
+        ]
+        objects = len({part["info"].object for part in shown})
+        page = {"settings": settings, "category": category, "parts": shown, "objects": objects}
+        yield f"{CATEGORIES}/{category}.html", render_page("release/publish/category.html", page)
+
+
+def _picture(folder: Path | None, target: Target, held_back: bool) -> str:
+    """Draw the full shape as the camera of `target` sees it; if truth is held back, only the partial."""
+    if folder is None:
+        return NO_PICTURE
+    path = folder / target.file
+    if held_back:
+        drawn = enlarged(seen_from_the_front(unpack(read_input(path).partial), BLUE))
+    else:
+        drawn = seen_from_the_front(unpack(read_pair(path).full), CLAY)
+    return data_uri(drawn[::STEP, ::STEP], OBJECT_QUALITY)

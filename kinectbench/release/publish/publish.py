@@ -3,12 +3,11 @@
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from kinectbench._version import __version__
-from kinectbench.core import ReleaseError, replaced_folder, write_below
+from kinectbench.core import ReleaseError, replaced_folder
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, PublishOptions, ReleaseInfo
 from kinectbench.core.artefacts.provenance import (
     THRESHOLDS_JSON,
@@ -17,22 +16,23 @@ from kinectbench.core.artefacts.provenance import (
     Removed,
     ThresholdsFile,
 )
-from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile
-from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, PREVIEW, VIEW_IMAGES, refuse_large
+from kinectbench.release.contents import MOST_FILES, VIEW_IMAGES, refuse_large
 from kinectbench.release.own_folder import refuse_other_content
-from kinectbench.release.publish.attribution import changelog_text
-from kinectbench.release.publish.category_pages import category_texts
-from kinectbench.release.publish.datasheet import datasheet, unanswered
+from kinectbench.release.publish.datasheet import unanswered
 from kinectbench.release.publish.gate import Gate, first_lines, gate
-from kinectbench.release.publish.held_back import SAID_OF_TRUTH
-from kinectbench.release.publish.index_page import preview_text
-from kinectbench.release.publish.isolate import SETTINGS_KEYS, Isolated, isolate, refuse_framing
+from kinectbench.release.publish.held_back import (
+    SAID_OF_TRUTH,
+    SETTINGS_KEYS,
+    Isolated,
+    isolate,
+    refuse_framing,
+)
 from kinectbench.release.publish.previews import write_view_pictures
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
-from kinectbench.release.publish.release_warnings import gives_away, release_warnings
-from kinectbench.release.publish.small_files import Head, note_in_benchmark_json, write_small_files
+from kinectbench.release.publish.small_files import note_in_benchmark_json, release_info, write_small_files
+from kinectbench.release.publish.texts import gives_away, release_texts, release_warnings
 from kinectbench.settings.models import BenchmarkSettings
 
 PRIVATE = "-private"
@@ -138,7 +138,7 @@ def publish(
         note_in_benchmark_json(folder, private_benchmark_sha256=whole.benchmark_sha256)
         info = ReleaseInfo.read(folder)
     # The publisher also gets the reasons that reveal held-back truth.
-    away = gives_away(settings, info.recordings, info.held_back, bool(isolated.views))
+    away = gives_away(info, settings)
     warnings = tuple(dict.fromkeys((*whole.warnings, *away, *isolated.lines())))
     return replace(
         public, folder=out, warnings=warnings, private=private, private_sha256=whole.benchmark_sha256
@@ -191,34 +191,32 @@ def _write(
     passed = passed.with_pairs(made)
     if not made:
         raise ReleaseError(f"{build}: no pair to publish; {first_lines([*passed.lines()])}", what="no-pairs")
-    infos = {name: published.info for name, published in made.items()}
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
-    alone = tuple(sorted(isolated.views))
-    lines = [*passed.lines()]
-    warnings = release_warnings(settings, infos, targets, lines, options.hold_back, bool(alone))
-    _write_texts(settings, folder, made, targets, warnings, options, removals, alone)
-    privacy(_color(settings, made), removals).write(folder)
-    head = Head(
+    of_settings = list[Removed]()
+    info = release_info(
         settings.name,
         settings.license,
         settings.pairs.framing,
         settings.pairs.partial_rule,
-        _public_settings(settings, options.hold_back, removals, bool(options.isolate)),
-        citation=settings.publish.citation,
+        _public_settings(settings, options.hold_back, of_settings, bool(options.isolate)),
+        {name: published.info for name, published in made.items()},
+        version=settings.publish.citation.version,
         held_back=options.hold_back,
         left_out=passed.left_out,
         flow=passed.flow,
-        isolated=alone,
+        isolated=tuple(sorted(isolated.views)),
     )
+    warnings = release_warnings(info, settings, targets, [*passed.lines()])
+    _write_provenance(folder, made, options, removals)
+    color = _color(settings, made)
+    privacy(color, removals).write(folder)
     refuse_large(folder)  # before other files are made of these
-    bare = alone if options.hold_back else ()
-    write_view_pictures(folder, [target for target in targets if target.recording not in bare])
-    given = folder, settings, targets, infos
-    index = PREVIEW, preview_text(*given, warnings, options.hold_back, build, bare)
-    for name, text in chain([index], category_texts(*given, options.hold_back, bare)):
-        write_below(folder / name, text.encode())
-    scenes = build if settings.publish.color else None
-    identity = write_small_files(head, folder, targets, infos, warnings, scenes)
+    write_view_pictures(folder, [target for target in targets if not info.isolates(target.recording)])
+    texts = release_texts(info, settings, targets, warnings, color, folder, build)
+    scenes, citation = build if settings.publish.color else None, settings.publish.citation
+    identity = write_small_files(
+        info, folder, targets, warnings, citation=citation, texts=texts, scenes=scenes
+    )
     refuse_large(folder)
     return PublishSummary(
         folder,
@@ -226,10 +224,10 @@ def _write(
         len(targets),
         tuple(made),
         tuple(warnings),
-        removed=tuple(removed_lines(removals)),
+        removed=tuple(removed_lines([*removals, *of_settings])),
         unanswered=tuple(unanswered(settings)),
         refused=tuple(passed.refused),
-        shortened=any(len(info.quality.warnings) > 1 for info in infos.values()),
+        shortened=any(len(each.quality.warnings) > 1 for each in info.recordings.values()),
     )
 
 
@@ -255,24 +253,10 @@ def _pairs(
     return made
 
 
-def _write_texts(
-    settings: BenchmarkSettings,
-    folder: Path,
-    made: Mapping[str, Published],
-    targets: Sequence[Target],
-    warnings: Sequence[str],
-    options: PublishOptions,
-    removals: list[Removed],
-    isolated: Sequence[str],
+def _write_provenance(
+    folder: Path, made: Mapping[str, Published], options: PublishOptions, removals: list[Removed]
 ) -> None:
-    """Write datasheet.md, CHANGELOG.md, lineage.json and thresholds; append removed facts to `removals`."""
-    infos = {name: published.info for name, published in made.items()}
-    color = _color(settings, made)
-    sheet = datasheet(settings, targets, infos, color, warnings, options.hold_back, isolated)
-    (folder / DATASHEET).write_text(sheet, encoding="utf-8")
-    (folder / CHANGELOG).write_text(
-        changelog_text(settings.publish.changelog, settings.name), encoding="utf-8"
-    )
+    """Write lineage.json, and thresholds.json if given; append removed facts to `removals`."""
     Lineage(
         format_version=1,
         package_version=__version__,

@@ -34,11 +34,14 @@ from kinectbench.core.voxels.pair_file import (
 )
 from kinectbench.engine.stages import STAGES
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES
-from kinectbench.release.publish.held_back import SAID_OF_TRUTH, own_floor, own_views, without_truth
-from kinectbench.release.publish.isolate import (
+from kinectbench.release.publish.held_back import (
+    SAID_OF_TRUTH,
     isolated_input,
     isolated_view,
     only_view,
+    own_floor,
+    own_views,
+    without_truth,
     write_isolated_images,
 )
 from kinectbench.release.publish.privacy import scrubbed_file, scrubbed_jpeg

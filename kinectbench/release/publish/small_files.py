@@ -1,12 +1,11 @@
 """Write a release's small files: targets, splits, licence, citation, schemas, metadata, card, checksums."""
 
 import platform
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from kinectbench._version import __version__
-from kinectbench.core import package_version, pretty_json, read_plain_text, sha256_file
+from kinectbench.core import package_version, pretty_json, read_plain_text, sha256_file, write_below
 from kinectbench.core.artefacts.benchmark import (
     BENCHMARK_JSON,
     FORMAT_VERSION,
@@ -14,7 +13,6 @@ from kinectbench.core.artefacts.benchmark import (
     SHA256_VERSION,
     UNSPECIFIED,
     Distribution,
-    Flow,
     RecordingInfo,
     ReleaseInfo,
     SettingsInfo,
@@ -31,7 +29,7 @@ from kinectbench.core.artefacts.targets import (
     sums_text,
     targets_text,
 )
-from kinectbench.core.types import Framing, PartialRule, Split
+from kinectbench.core.types import Framing, PartialRule
 from kinectbench.release.contents import (
     CARD,
     CITATION,
@@ -61,45 +59,82 @@ PACKAGES = (
 )
 
 
-@dataclass(frozen=True)
-class Head:
-    """Facts about a release as a whole, for benchmark.json and the other small files.
+def release_info(
+    name: str,
+    license: str,
+    framing: Framing,
+    partial_rule: PartialRule,
+    settings: Mapping[str, object],
+    infos: Mapping[str, RecordingInfo],
+    **more: object,
+) -> ReleaseInfo:
+    """Return benchmark.json of a release that this version writes, with zeros as benchmark_sha256.
 
-    Attributes:
+    Args:
         name: the benchmark's name.
-        license: licence of the data.
+        license: licence of the data, also of recordings that state none.
         framing: framing of every pair.
         partial_rule: partial rule of every pair.
         settings: the settings that made the release, as plain JSON values, without paths of the machine.
-        texts: the parts of the card's text that depend on the origin of the pairs.
-        citation: authors, title, version and address for citing the release.
-        held_back: splits of which only inputs are published.
-        left_out: {recording: why it is not published}, for built and failed recordings.
-        flow: number of recordings tried, and their outcomes; None: the pairs are not made from recordings.
-        isolated: recordings of which a single view is published.
-        surface_truth: splits whose truth is an open mesh.
+        infos: {recording: its entry}.
+        more: values of further keys; empty ones are not set.
     """
+    licensed = {"license": license or UNSPECIFIED}  # in place of a missing one
+    infos = {
+        name: info if info.license != UNSPECIFIED else info.model_copy(update=licensed)
+        for name, info in infos.items()
+    }
+    reasons = reasons_against_distribution(infos)
+    info = ReleaseInfo(
+        name=name,
+        license=license,
+        format_version=FORMAT_VERSION,
+        package_version=__version__,
+        publish_version=PUBLISH_VERSION,
+        benchmark_sha256="0" * 64,
+        benchmark_sha256_version=SHA256_VERSION,
+        framing=framing,
+        partial_rule=partial_rule,
+        distribution=Distribution(allowed=not reasons, reasons=reasons),
+        settings=SettingsInfo.model_validate(settings),
+        packages=data_package_versions(),
+        recordings=infos,
+    )
+    return info.model_copy(update={key: value for key, value in more.items() if value})
 
-    name: str
-    license: str
-    framing: Framing
-    partial_rule: PartialRule
-    settings: Mapping[str, object]
-    texts: CardTexts = RECORDED
-    citation: CitationSettings = field(default_factory=CitationSettings)
-    held_back: tuple[Split, ...] = ()
-    left_out: Mapping[str, str] = field(default_factory=dict)
-    flow: Flow | None = None
-    isolated: tuple[str, ...] = ()
-    surface_truth: tuple[Split, ...] = ()
+
+def small_texts(
+    info: ReleaseInfo,
+    targets: Sequence[Target],
+    warnings: Sequence[str],
+    words: CardTexts,
+    citation: CitationSettings,
+) -> Iterator[tuple[str, str]]:
+    """Yield (file, text) of the texts that every release has: card, READING.md, licence and citation.
+
+    Args:
+        info: content of benchmark.json.
+        targets: every pair.
+        warnings: the release's warnings, one line each.
+        words: the parts of the card's text that depend on the origin of the pairs.
+        citation: authors, title, version and address for citing the release.
+    """
+    license = common_license(info.recordings, info.license)
+    why = "an open mesh, `surfaces/<recording>.ply`" if info.surface_truth else "held back"
+    yield CARD, card(info, targets, warnings, license, words)
+    yield READING, reading(targets, info.inputs_only, why)
+    yield LICENSE, license_text(info.name, license, info.recordings)
+    yield CITATION, citation_text(citation, info.name, license)
 
 
 def write_small_files(
-    head: Head,
+    info: ReleaseInfo,
     folder: Path,
     targets: tuple[Target, ...],
-    infos: Mapping[str, RecordingInfo],
     warnings: Sequence[str],
+    words: CardTexts = RECORDED,
+    citation: CitationSettings | None = None,
+    texts: Iterable[tuple[str, str]] | None = None,
     scenes: Path | None = None,
 ) -> str:
     """Write the small files, and the objects' GLBs, of an otherwise complete release folder.
@@ -107,52 +142,42 @@ def write_small_files(
     Return the release's benchmark_sha256.
 
     Args:
-        head: facts about the release as a whole.
+        info: content of benchmark.json, without its hash.
         folder: the release's folder.
         targets: every pair, sorted.
-        infos: {recording: its entry in benchmark.json}.
-        warnings: the release's warnings, one line each, for the card.
+        warnings: as in `small_texts`, like `words` and `citation`.
+        words: see there.
+        citation: see there; None: nothing is stated.
+        texts: (file, text) of every text; None: those of `small_texts`.
         scenes: `build/`, where scene meshes give the GLBs' colours; None if no colour is published.
     """
-    licensed = {"license": head.license or UNSPECIFIED}  # in place of a missing one
-    infos = {
-        name: info if info.license != UNSPECIFIED else info.model_copy(update=licensed)
-        for name, info in infos.items()
-    }
-    info = _info(head, infos)
-    license = common_license(infos, head.license)
+    citation = citation or CitationSettings()
     _write_targets(folder, targets)
-    why = "an open mesh, `surfaces/<recording>.ply`" if head.surface_truth else "held back"
-    words = reading(targets, (*head.held_back, *head.surface_truth), why)
-    (folder / READING).write_text(words, encoding="utf-8")
-    (folder / LICENSE).write_text(license_text(head.name, license, infos), encoding="utf-8")
-    (folder / CITATION).write_text(citation_text(head.citation, head.name, license), encoding="utf-8")
+    for name, text in texts or small_texts(info, targets, warnings, words, citation):
+        write_below(folder / name, text.encode())
     columns = columns_of(targets)
     write_schemas(folder, columns)
-    write_glbs(folder, infos, scenes)
-    about = about_release(head, license, day_of(head.citation, folder), warnings)
+    write_glbs(folder, info.recordings, scenes)
+    about = about_release(info, words, citation, day_of(citation, folder), warnings)
     (folder / DATACITE).write_text(pretty_json(datacite(about)), encoding="utf-8")
     (folder / CROISSANT).write_text(pretty_json(croissant(about, folder, columns)), encoding="utf-8")
-    (folder / CARD).write_text(card(info, targets, warnings, license, head.texts), encoding="utf-8")
     return _seal(folder, info)
 
 
-def about_release(head: Head, license: str, date: str, warnings: Sequence[str]) -> About:
+def about_release(
+    info: ReleaseInfo, words: CardTexts, citation: CitationSettings, date: str, warnings: Sequence[str]
+) -> About:
     """Return the description of a release from which croissant.json and datacite.json are made.
 
-    Args:
-        head: facts about the release as a whole.
-        license: the licence of all recordings.
-        date: the day of publication, year-month-day.
-        warnings: the release's warnings, one line each.
+    `date` is the day of publication, year-month-day; the other arguments are those of `small_texts`.
     """
-    published = head.settings.get("publish")
+    published = info.settings.publish
     options = PublishSettings() if published is None else PublishSettings.model_validate(published)
     return About(
-        name=head.name,
-        license=license,
-        description=f"A benchmark for single-depth-view shape completion from {head.texts.source}.",
-        citation=head.citation,
+        name=info.name,
+        license=common_license(info.recordings, info.license),
+        description=f"A benchmark for single-depth-view shape completion from {words.source}.",
+        citation=citation,
         date=date,
         answers=options.datasheet,
         warnings=warnings,
@@ -169,35 +194,6 @@ def note_in_benchmark_json(folder: Path, **more: str) -> None:
         BENCHMARK_JSON: sha256_file(folder / BENCHMARK_JSON)
     }
     path.write_text(sums_text(sums), encoding="utf-8")
-
-
-def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
-    """Return benchmark.json with zeros as benchmark_sha256; empty optional keys are not set."""
-    reasons = reasons_against_distribution(infos)
-    info = ReleaseInfo(
-        name=head.name,
-        license=head.license,
-        format_version=FORMAT_VERSION,
-        package_version=__version__,
-        publish_version=PUBLISH_VERSION,
-        benchmark_sha256="0" * 64,
-        benchmark_sha256_version=SHA256_VERSION,
-        framing=head.framing,
-        partial_rule=head.partial_rule,
-        distribution=Distribution(allowed=not reasons, reasons=reasons),
-        settings=SettingsInfo.model_validate(head.settings),
-        packages=data_package_versions(),
-        recordings=dict(infos),
-    )
-    present = {
-        "version": head.citation.version,
-        "held_back": head.held_back,
-        "left_out": dict(head.left_out),
-        "flow": head.flow,
-        "isolated": head.isolated,
-        "surface_truth": head.surface_truth,
-    }
-    return info.model_copy(update={key: value for key, value in present.items() if value})
 
 
 def _write_targets(folder: Path, targets: tuple[Target, ...]) -> None:

@@ -1,28 +1,34 @@
-"""Score baselines in memory under the grid protocols; prediction files would give the same tables."""
+"""Score baselines in memory, as methods or beside a method; prediction files would give the same tables.
+
+For comparison with a method, only voxel metrics are computed under the grid protocols: they suffice to judge
+a method, and surface metrics take most of the time. If the method predicts in the camera frame, baselines are
+scored only under `camera`.
+"""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from kinectbench.core import SettingsError, StorageError
 from kinectbench.core.artefacts.counted import PairResult
-from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.artefacts.score_figures import ScoreRow, any_in_space
+from kinectbench.core.artefacts.scores import BASELINES_FOLDER, BaseRate, ScoreTable
 from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline, describe, make_table, rows_of
 from kinectbench.scoring.base_rates import base_rates
-from kinectbench.scoring.baselines.in_space import space_baselines, space_baselines_that_differ
+from kinectbench.scoring.baselines.in_space import scored_again, space_baselines
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
 from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
 from kinectbench.scoring.baselines.reuse import Scoring, reusable_tables
 from kinectbench.scoring.camera.score_camera_method import settings_in_space
-from kinectbench.scoring.pair_result import Counting, ceilings, count, counting_of, drawn, surfaces
+from kinectbench.scoring.pair_result import Counting, ceilings, count, counting_of, surfaces
 from kinectbench.scoring.protocols import space_alone
-from kinectbench.scoring.read_table import differing, read_table
+from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.request import check_words
 from kinectbench.scoring.rounds import pairs_to_score
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
@@ -87,13 +93,13 @@ def scoring_of(how: Counting | tuple[str, ...], names: Sequence[str]) -> Scoring
     """Return how to score baselines: in grids, given options, or in space, given protocols."""
     if isinstance(how, Counting):
         make = partial(counted_baselines, counting=how)
-        differ = partial(baselines_that_differ, counting=how)
-        return Scoring(tuple(names), as_of_baseline(describe(how, "error")), make, differ)
+        settings = as_of_baseline(describe(how, "error"))
+        return Scoring(tuple(names), settings, make, partial(_counted_again, how))
     return Scoring(
         tuple(name for name in names if name not in WITHOUT_SURFACE),
         as_of_baseline(settings_in_space(how, "error")),
         partial(space_baselines, protocols=how),
-        partial(space_baselines_that_differ, protocols=how),
+        partial(scored_again, how),
     )
 
 
@@ -163,45 +169,18 @@ def counted_baselines(
     ]
 
 
-def baselines_that_differ(
-    release: Release,
-    tables: Mapping[str, ScoreTable],
+def _counted_again(
     counting: Counting,
-    jobs: int = 1,
-    *,
-    every: bool = False,
-) -> set[str]:
-    """Score some test pairs again; return the baselines whose tables have other rows for these pairs.
-
-    Args:
-        release: the release that was predicted.
-        tables: {baseline: its table}, made with `release` and `counting`.
-        counting: how pairs are counted.
-        jobs: number of processes.
-        every: whether all pairs are scored again; else a few that are randomly drawn.
-
-    Raises:
-        PairError, ReleaseError: a pair cannot be read.
-    """
-    rates, categories = base_rates(release, jobs), {target.category for target in release.split("test")}
-    thresholds = {
-        name: Thresholds(table.thresholds, "")
-        for name, table in tables.items()
-        if categories <= table.thresholds.keys()
-    }
-    tasks = baseline_tasks(release, tuple(thresholds), rates, ("test",))
-    of = "".join(table.facts_sha256() for table in tables.values())
-    pairs = drawn([task.target.name for task in tasks], of)
-    chosen = [task for task in tasks if every or task.target.name in pairs]
-    recounted = run_tasks(partial(_count, counting, thresholds), chosen, jobs)
-    wrong = set(tables.keys() - thresholds.keys())
+    tasks: Sequence[BaselineTask],
+    thresholds: Mapping[str, Thresholds],
+    rates: Mapping[str, BaseRate],
+    jobs: int,
+) -> Iterator[tuple[str, Sequence[ScoreRow]]]:
+    """Yield (baseline, its rows for the tasks' pairs), as `Scoring.again` needs it."""
+    counted = run_tasks(partial(_count, counting, thresholds), tasks, jobs)
     for name, of_category in thresholds.items():
-        results = {task.target: of[name] for task, of in zip(chosen, recounted, strict=True)}
-        kept = {(row.pair, row.protocol): row for row in tables[name].rows}
-        again = rows_of(results, counting.protocols, of_category, rates)
-        if any(any(differing(kept.get((row.pair, row.protocol)), row, "", whole=True)) for row in again):
-            wrong.add(name)
-    return wrong
+        results = {task.target: of[name] for task, of in zip(tasks, counted, strict=True)}
+        yield name, rows_of(results, counting.protocols, of_category, rates)
 
 
 def _tell(progress: Progress, before: int, pairs: int, done: int, _total: int) -> None:
@@ -233,3 +212,49 @@ def _count(counting: Counting, thresholds: Mapping[str, Thresholds], task: Basel
             result = replace(result, ceilings=reached[result.cells], surface=surface)
         results[name] = result
     return results
+
+
+def comparison_baselines(
+    release: Release,
+    out: Path,
+    *,
+    protocols: Sequence[str],
+    upsampling: str = HALF_PIXEL,
+    without: Collection[str] = (),
+    jobs: int = 1,
+    progress: Progress = no_progress,
+) -> list[ScoreTable]:
+    """Score every baseline that the release allows, for comparison with a method.
+
+    Tables are stored in `out/baselines/<name>/scores.json`, or for the protocol `camera` in
+    `out/baselines/<name>+camera/`. Valid tables of an earlier run are reused (`reusable_tables`). Thresholds
+    are chosen per baseline on the validation split; without that split they are 0.5.
+
+    Args:
+        release: the release that is scored.
+        out: folder of the scores.
+        protocols: names of `PROTOCOLS` that the pairs allow; or `camera` and `aligned`, of which only
+            `camera` is scored.
+        upsampling: "half-pixel" or "corner-aligned".
+        without: names of baselines that are left out.
+        jobs: number of processes.
+        progress: called with (pairs done, pairs in all); not called if all tables are reused.
+
+    Returns:
+        A table for each baseline.
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+        StorageError: the disk is full or read-only.
+    """
+    names = [name for name in possible_baselines(release) if name not in without]
+    in_space = any_in_space(protocols)
+    counting = Counting(tuple(protocols), upsampling, surface=False)
+    scoring, sign = scoring_of(("camera",) if in_space else counting, names), "+camera" * in_space
+    folders = {name: out / BASELINES_FOLDER / f"{name}{sign}" for name in scoring.names}
+    tables = reusable_tables(folders, release, scoring, jobs, for_comparison=True)
+    if wanted := [name for name in scoring.names if name not in tables]:
+        for table in scoring.make(release, wanted, jobs=jobs, progress=progress):
+            tables[table.method] = table.model_copy(update={"baseline": True})
+            tables[table.method].write(folders[table.method])
+    return [tables[name] for name in scoring.names]

@@ -1,11 +1,12 @@
 """Score baselines in memory under the protocols camera and aligned; their occupied cells are the solid."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
 from kinectbench.core import PredictionError
 from kinectbench.core.artefacts.counted import Tally
+from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import BaseRate, ScoreTable
 from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
@@ -19,8 +20,6 @@ from kinectbench.scoring.camera.score_grid_view import grid_result
 from kinectbench.scoring.camera.score_view import Asked, ViewResult, asked_rows
 from kinectbench.scoring.camera.truth import files_of, read_space_truth
 from kinectbench.scoring.counts import tally
-from kinectbench.scoring.pair_result import drawn
-from kinectbench.scoring.read_table import differing
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_packed_truth
 from kinectbench.scoring.workers import run_tasks
@@ -62,9 +61,9 @@ def space_baselines(
         thresholds = thresholds_of_baselines(release, names, rates, jobs)
     else:
         thresholds = dict.fromkeys(names, thresholds_for(thresholds_file, release.split("test")))
-    used = {name: of.of for name, of in thresholds.items()}
     tasks = baseline_tasks(release, names, rates, ("test",))
-    found = run_tasks(partial(_results, used, tuple(asked_rows(protocols, "metric"))), tasks, jobs, progress)
+    score = partial(_results, thresholds, tuple(asked_rows(protocols, "metric")))
+    found = run_tasks(score, tasks, jobs, progress)
     results = {task.target: of for task, of in zip(tasks, found, strict=True)}
     settings = as_of_baseline(settings_in_space(protocols, "error"))
     return [
@@ -110,46 +109,25 @@ def thresholds_of_baselines(
     }
 
 
-def space_baselines_that_differ(
-    release: Release,
-    tables: Mapping[str, ScoreTable],
+def scored_again(
     protocols: tuple[str, ...],
-    jobs: int = 1,
-    *,
-    every: bool = False,
-) -> set[str]:
-    """Score some views again; return the baselines whose tables have other rows for these views.
-
-    Args:
-        release: the release that was predicted.
-        tables: {baseline: its table}.
-        protocols: camera, aligned or both.
-        jobs: number of processes.
-        every: whether all views are scored again; else a few that are randomly drawn.
-    """
-    rates = base_rates(release, jobs)
-    tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
-    of = "".join(table.facts_sha256() for table in tables.values())
-    names = [task.target.name for task in tasks]
-    pairs = {*names} if every else drawn(names, of)
-    chosen = [task for task in tasks if task.target.name in pairs]
-    if any(task.target.category not in table.thresholds for task in chosen for table in tables.values()):
-        return set(tables)
-    used = {name: table.thresholds for name, table in tables.items()}
-    results = run_tasks(partial(_results, used, tuple(asked_rows(protocols, "metric"))), chosen, jobs)
-    wrong = set()
-    for name, table in tables.items():
-        kept = {(row.pair, row.heading): row for row in table.rows if row.pair in pairs}
-        again = {
-            (row.pair, row.heading): row
-            for task, of in zip(chosen, results, strict=True)
-            if isinstance(one := of[name], ViewResult)
-            for row in rows_of_view(task.target, one, table.thresholds[task.target.category])
-        }
-        both = kept.keys() | again.keys()
-        if any(any(differing(kept.get(key), again.get(key), "", whole=True)) for key in both):
-            wrong.add(name)
-    return wrong
+    tasks: Sequence[BaselineTask],
+    thresholds: Mapping[str, Thresholds],
+    rates: Mapping[str, BaseRate],
+    jobs: int,
+) -> Iterator[tuple[str, Sequence[ScoreRow]]]:
+    """Yield (baseline, its rows for the tasks' views), as `Scoring.again` needs it."""
+    found = run_tasks(partial(_results, thresholds, tuple(asked_rows(protocols, "metric"))), tasks, jobs)
+    for name, of_category in thresholds.items():
+        yield (
+            name,
+            [
+                row
+                for task, of in zip(tasks, found, strict=True)
+                if isinstance(one := of[name], ViewResult)
+                for row in rows_of_view(task.target, one, of_category.of[task.target.category])
+            ],
+        )
 
 
 def _tallies(upsampling: str, task: BaselineTask) -> Tallies:
@@ -158,22 +136,14 @@ def _tallies(upsampling: str, task: BaselineTask) -> Tallies:
     return {name: tally(prediction, truth, upsampling) for name, prediction in predicted(task)}
 
 
-def _results(
-    thresholds: Mapping[str, Mapping[str, float]], asked: tuple[Asked, ...], task: BaselineTask
-) -> Results:
-    """Return {baseline: result of one view, or why it cannot be scored}.
-
-    Args:
-        thresholds: {baseline: {category: threshold}}.
-        asked: the (protocol, kind of registration) pairs to score.
-        task: the view and its baselines.
-    """
+def _results(thresholds: Mapping[str, Thresholds], asked: tuple[Asked, ...], task: BaselineTask) -> Results:
+    """Return {baseline: result of one view, or why it cannot be scored} for `asked_rows`."""
     truth = read_space_truth(files_of(task.release, task.target))
     category = task.target.category
     results: Results = {}
     for name, prediction in predicted(task):
         try:
-            results[name] = grid_result(truth, prediction, thresholds[name][category], asked)
+            results[name] = grid_result(truth, prediction, thresholds[name].of[category], asked)
         except PredictionError as error:  # such as a surface of noise
             results[name] = f"{task.target.name}: {error}"
     return results

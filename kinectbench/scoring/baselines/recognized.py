@@ -54,14 +54,14 @@ def is_of_baseline(release: Release, table: ScoreTable, how: Counting | tuple[st
     if not table.complete or table.method not in possible_baselines(release):
         return False
     # Imported late: slow to load, and few methods have the name of a baseline.
-    from kinectbench.scoring.baselines.in_grids import baselines_that_differ
-    from kinectbench.scoring.baselines.in_space import space_baselines_that_differ, thresholds_of_baselines
+    from kinectbench.scoring.baselines.in_grids import scoring_of
+    from kinectbench.scoring.baselines.in_space import thresholds_of_baselines
+    from kinectbench.scoring.baselines.reuse import tables_that_differ
 
     if not (table.threshold_source or "").startswith(FROM_FILE):
         upsampling, rates = getattr(how, "upsampling", HALF_PIXEL), base_rates(release, jobs)
         chosen = thresholds_of_baselines(release, [table.method], rates, jobs, upsampling)
         if chosen[table.method].of != table.thresholds:
             return False
-    if isinstance(how, Counting):
-        return not baselines_that_differ(release, {table.method: table}, how, jobs, every=True)
-    return not space_baselines_that_differ(release, {table.method: table}, how, jobs, every=True)
+    scoring = scoring_of(how, [table.method])
+    return not tables_that_differ(release, {table.method: table}, scoring, jobs, every=True)

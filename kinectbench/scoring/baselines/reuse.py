@@ -1,13 +1,18 @@
 """Reuse score tables of baselines from an earlier run, if they are still valid."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from kinectbench.core import StorageError
+from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
 from kinectbench.release.release import Release
-from kinectbench.scoring.read_table import read_table
+from kinectbench.scoring.base_rates import base_rates
+from kinectbench.scoring.baselines.predict import baseline_tasks
+from kinectbench.scoring.pair_result import drawn
+from kinectbench.scoring.read_table import differing, read_table
+from kinectbench.scoring.thresholds import Thresholds
 
 
 @dataclass(frozen=True)
@@ -18,14 +23,14 @@ class Scoring:
         names: the baselines that can be scored in this way.
         settings: the settings that their tables state.
         make: makes tables, given (release, names) and the keywords thresholds_file, jobs and progress.
-        differ: computes some rows of tables again, given (release, tables) and the keyword jobs; returns the
-            baselines whose rows differ.
+        again: yields (baseline, its rows) for tasks of the test split, given (tasks, {baseline: thresholds},
+            {category: base rate}, number of processes).
     """
 
     names: tuple[str, ...]
     settings: ScoreSettings
     make: Callable[..., list[ScoreTable]]
-    differ: Callable[..., Iterable[str]]
+    again: Callable[..., Iterable[tuple[str, Sequence[ScoreRow]]]]
 
 
 def reusable_tables(
@@ -56,8 +61,43 @@ def reusable_tables(
         for name, folder in folders.items()
     }
     tables = {name: table for name, table in kept.items() if table is not None}
-    wrong = set(scoring.differ(release, tables, jobs=jobs)) if tables else set()
+    wrong = tables_that_differ(release, tables, scoring, jobs) if tables else set()
     return {name: table for name, table in tables.items() if name not in wrong}
+
+
+def tables_that_differ(
+    release: Release, tables: Mapping[str, ScoreTable], scoring: Scoring, jobs: int, *, every: bool = False
+) -> set[str]:
+    """Score some test pairs again; return the baselines whose tables have other rows for these pairs.
+
+    Args:
+        release: the release that was predicted.
+        tables: {baseline: its table}, made in the way of `scoring`.
+        scoring: how baselines are scored.
+        jobs: number of processes.
+        every: whether all pairs are scored again; else a few that are randomly drawn.
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+    """
+    rates, categories = base_rates(release, jobs), {target.category for target in release.split("test")}
+    thresholds = {
+        name: Thresholds(table.thresholds, "")
+        for name, table in tables.items()
+        if categories <= table.thresholds.keys()
+    }
+    tasks = baseline_tasks(release, tuple(thresholds), rates, ("test",))
+    names = [task.target.name for task in tasks]
+    pairs = {*names} if every else drawn(names, "".join(table.facts_sha256() for table in tables.values()))
+    chosen = [task for task in tasks if task.target.name in pairs]
+    wrong = set(tables.keys() - thresholds.keys())
+    for name, rows in scoring.again(chosen, thresholds, rates, jobs):
+        kept = {(row.pair, row.heading): row for row in tables[name].rows if row.pair in pairs}
+        again = {(row.pair, row.heading): row for row in rows}
+        both = kept.keys() | again.keys()
+        if any(any(differing(kept.get(key), again.get(key), "", whole=True)) for key in both):
+            wrong.add(name)
+    return wrong
 
 
 def _kept(

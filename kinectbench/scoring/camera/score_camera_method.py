@@ -1,23 +1,20 @@
 """Score a method whose predictions are in the camera frame, and make its table."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
 from typing import get_args
 
-from kinectbench._version import __version__
 from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_columns import MOST_ROWS_IN_SPACE
-from kinectbench.core.artefacts.score_figures import ScoreRow, ShapePart
-from kinectbench.core.artefacts.score_marks import ValidationUse
-from kinectbench.core.artefacts.scores import Failure, Hashes, ScoreSettings, ScoreTable
+from kinectbench.core.artefacts.score_figures import InSpace, ScoreRow, ShapePart, fields_of
+from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
 from kinectbench.core.artefacts.targets import check_names
-from kinectbench.core.types import Progress
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.assemble import quality_of
+from kinectbench.scoring.assemble import table_of
 from kinectbench.scoring.camera.score_view import Asked, ViewJob, ViewResult, asked_rows, score_view
 from kinectbench.scoring.camera.truth import files_of
 from kinectbench.scoring.camera_predictions import (
@@ -27,15 +24,15 @@ from kinectbench.scoring.camera_predictions import (
     missing_in_camera,
     strays_in_camera,
 )
-from kinectbench.scoring.caveats import marks_of
-from kinectbench.scoring.derived_values import derived_values
 from kinectbench.scoring.method_json import method_lines
+from kinectbench.scoring.request import Request, check_missing
 from kinectbench.scoring.rounds import Missing, pairs_to_score
-from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, SEARCHED, Thresholds
+from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, Thresholds
 from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
 from kinectbench.scoring.workers import run_tasks
 
 F_SCORE_MM = (5.0, 10.0, 20.0)
+OF_SPACE = tuple(fields_of(InSpace))
 
 
 def score_in_camera(
@@ -44,10 +41,7 @@ def score_in_camera(
     declared: MethodFile,
     method: str,
     protocols: tuple[str, ...],
-    missing: Missing,
-    jobs: int,
-    progress: Progress,
-    close: str | None = None,
+    request: Request,
 ) -> ScoreTable:
     """Score the test split of a method whose predictions are in the camera frame.
 
@@ -57,11 +51,7 @@ def score_in_camera(
         declared: the method's method.json.
         method: the method's name.
         protocols: camera, aligned or both.
-        missing: "error" lists a missing prediction as a failure; "empty" gives it the worst value of each
-            metric.
-        jobs: number of processes.
-        progress: called with (views done, views in all).
-        close: how open meshes and points are made solid, one of `CLOSINGS`; None if they are not.
+        request: the options; an empty prediction has the worst value of each metric.
 
     Returns:
         The table. A prediction that cannot be scored is listed in `failures`; all others are scored.
@@ -72,6 +62,7 @@ def score_in_camera(
             truth is held back or too large (`read_space_truth`).
         SettingsError: the table would have too many rows.
     """
+    missing, close = check_missing(request.missing), request.close
     check_names(release.targets, str(release.folder))
     test = pairs_to_score(release, validation=False, solid=False)
     refuse_many_rows(len(test), asked_rows(protocols, declared.scale), declared.hypotheses)
@@ -84,10 +75,11 @@ def score_in_camera(
         ViewJob(target, files_of(release, target), files[target], declared, protocols, close)
         for target in sorted(files)
     ]
-    outcomes = dict(zip(sorted(files), run_tasks(score_view, tasks, jobs, progress), strict=True))
+    scored = run_tasks(score_view, tasks, request.here, request.progress)
+    outcomes = dict(zip(sorted(files), scored, strict=True))
     failures |= {target: result for target, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, ViewResult)}
-    empty = [target.name for target in sorted(files) if not files[target]]
+    empty = [target for target in files if not files[target]]
     fixed = _fixed_thresholds({target.category for target in results})
     settings = settings_in_space(protocols, missing).model_copy(update={"close": close})
     table = table_in_space(release, method, results, failures, settings, empty, fixed)
@@ -171,11 +163,11 @@ def table_in_space(
     results: Mapping[Target, ViewResult],
     failures: Mapping[Target, str],
     settings: ScoreSettings,
-    empty: Sequence[str],
+    empty: Collection[Target],
     thresholds: Thresholds,
     validation: Mapping[Target, str | None] = MappingProxyType({}),
 ) -> ScoreTable:
-    """Make a method's table from its views' results; it has no averages if a view could not be scored.
+    """Make a method's table from its views' results (`table_of`).
 
     Args:
         release: the release that was predicted.
@@ -183,7 +175,7 @@ def table_in_space(
         results: result of every view that was scored.
         failures: the reason for every view that could not be scored.
         settings: see `settings_in_space`.
-        empty: names of views without a prediction that were scored as empty.
+        empty: views without a prediction that were scored as empty.
         thresholds: threshold of every category.
         validation: {validation pair that the thresholds were chosen on: digest of its prediction's file, None
             without a file}.
@@ -193,45 +185,13 @@ def table_in_space(
         for target in sorted(results)
         for row in rows_of_view(target, results[target], thresholds.of[target.category])
     )
-    quality = quality_of(release, rows)
     digests = {target: result.digest for target, result in results.items()} | dict(validation)
-    without = frozenset(empty)
-    predicted = sum(target.name not in without for target in validation)
-    derived = derived_values(rows, settings.protocols, {}, quality, not failures)
-    table = ScoreTable(
-        method=method,
-        benchmark_sha256=release.benchmark_sha256,
-        package_version=__version__,
-        settings=settings,
-        complete=not failures,
-        thresholds=dict(thresholds.of),
-        threshold_source=thresholds.source,
-        threshold_source_by_category=dict(thresholds.sources),
-        threshold_objects=thresholds.objects,
-        validation=ValidationUse(pairs=len(release.split("validation")), predicted=predicted)
-        if thresholds.source in SEARCHED
-        else None,
-        missing_as_empty=tuple(empty),
-        base_rate={},
-        rows=rows,
-        truth_quality=quality,
-        failures=tuple(
-            Failure(recording=t.recording, view=t.view, reason=failures[t]) for t in sorted(failures)
-        ),
-        warnings=(*thresholds.warnings, *_warnings(failures, empty)),
-        hashes={
-            target.name: Hashes(truth=target.sha256, prediction=digests[target]) for target in sorted(digests)
-        },
-        **vars(derived),
-    )
-    return table.model_copy(update={"marks": marks_of(table)})
-
-
-def _warnings(failures: Mapping[Target, str], empty: Sequence[str]) -> list[str]:
-    found = [f"{len(empty)} predictions are missing and were scored as empty"] * bool(empty)
+    warnings = [f"{len(empty)} predictions are missing and were scored as empty"] * bool(empty)
     if failures:
-        found.append(f"incomplete: {len(failures)} views could not be scored, so there are no averages")
-    return found
+        warnings.append(f"incomplete: {len(failures)} views could not be scored, so there are no averages")
+    return table_of(
+        release, method, rows, digests, thresholds, failures, settings, empty, warnings=warnings, rates={}
+    )
 
 
 def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[ScoreRow]:
@@ -250,18 +210,7 @@ def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[S
             coverage_shape=one.figures.coverage_shape,
             cells=result.cells,
             unknown_share=result.unknown_share,
-            part=one.part,
-            alignment=one.alignment,
-            hypotheses=one.hypotheses,
-            closed=one.closed,
-            calibration=one.calibration,
-            solid=one.solid,
-            predicted_unknown_share=one.predicted_unknown_share,
-            surface_unknown_share=one.figures.surface_unknown_share,
-            cut=one.cut,
-            silhouette=one.silhouette,
-            ceiling=one.figures.ceiling,
-            as_papers=one.figures.as_papers,
+            **{name: getattr(one if hasattr(one, name) else one.figures, name) for name in OF_SPACE},
         )
         for one in result.rows
     ]

@@ -22,7 +22,6 @@ from kinectbench.release.release import Target
 from kinectbench.scoring.camera.align import KINDS, SurfaceRegistration, register_kinds
 from kinectbench.scoring.camera.calibration import Votes
 from kinectbench.scoring.camera.metrics import PartFigures, figures_by_part
-from kinectbench.scoring.camera.outside_shares import cut_share, outside_mask_share
 from kinectbench.scoring.camera.solid import Solid, solid_in, to_be_closed
 from kinectbench.scoring.camera.surface import Surface, surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, ViewFiles, read_space_truth
@@ -39,21 +38,11 @@ Asked = tuple[str, str | None]
 class Scored:
     """Scores of one part of a view under one protocol: the values of a row of the table.
 
+    Other attributes are those of `InSpace`; each is None where there is no such value.
+
     Attributes:
         protocol: camera or aligned.
-        part: whole, visible or occluded.
         figures: metrics of the part.
-        alignment: the registration under `aligned`; None under `camera`.
-        solid: whether the prediction had an inside before it was closed; None if there is no prediction.
-        predicted_unknown_share: share of the predicted surface that lies in unknown space.
-        cut: share of the known true shape outside the volume that the method covers; None without such a
-            volume.
-        silhouette: share of the predicted surface that projects outside the mask; None if there is no mask.
-        hypotheses: how the row combines several predictions of the view; None for the row of a single
-            prediction.
-        closed: the value of `--close` by which an open mesh or points were made solid; None if they were not.
-        calibration: how well the votes of several predictions for solid cells are calibrated; None without
-            votes.
         open_because: why a mesh is not closed, in words; "" if it is closed, or no mesh.
     """
 
@@ -297,3 +286,55 @@ def _mean_of(values: Sequence[float | None]) -> float | None:
     """Return the mean of the values; None if a value is None."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if len(known) == len(values) else None
+
+
+def cut_share(truth: SpaceTruth, shape: CameraShape, volume_m: Float64 | None) -> float | None:
+    """Return the share of the known true solid outside the volume that a method covers.
+
+    Args:
+        truth: the truth of the view.
+        shape: the predicted shape, camera frame; if it is a grid of cells or distances, that grid also bounds
+            the volume.
+        volume_m: (2, 3), lowest and highest corner of the volume in the camera frame, metres, as method.json
+            declares it; None if it declares none.
+
+    Returns:
+        The share; None if nothing bounds the volume, or if no cell of the true solid is known.
+    """
+    if volume_m is None and shape.cells is None:
+        return None
+    points_m = truth.some_cells_m
+    if not len(points_m):
+        return None
+    inside = np.ones(len(points_m), bool)
+    if volume_m is not None:
+        inside &= ((points_m >= volume_m[0]) & (points_m <= volume_m[1])).all(axis=1)
+    if shape.cells is not None and shape.T_camera_grid is not None and shape.voxel_size_m is not None:
+        T_grid_camera = np.linalg.inv(shape.T_camera_grid).astype(np.float64)
+        at = transform_points(T_grid_camera, points_m) / shape.voxel_size_m
+        inside &= ((at >= 0) & (at <= shape.cells.shape)).all(axis=1)
+    return float(1 - inside.mean())
+
+
+def outside_mask_share(truth: SpaceTruth, surface: Surface) -> float | None:
+    """Return the area share of a predicted surface that projects outside the mask; None if there is no mask.
+
+    Args:
+        truth: the truth of the view.
+        surface: the predicted surface, camera frame; points behind the camera count as outside.
+    """
+    if truth.K is None or truth.mask is None:
+        return None
+    height, width = truth.mask.shape
+    points_m = surface.points_m
+    before = points_m[:, 2] > 0
+    depth_m = np.where(before, points_m[:, 2], 1.0)
+    # Pixel centres are integers. Clip, so that pixels far outside do not overflow.
+    u = np.clip(np.rint(truth.K[0, 0] * points_m[:, 0] / depth_m + truth.K[0, 2]), -1, width).astype(np.int64)
+    v = np.clip(np.rint(truth.K[1, 1] * points_m[:, 1] / depth_m + truth.K[1, 2]), -1, height).astype(
+        np.int64
+    )
+    before &= (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    inside = np.zeros(len(points_m), bool)
+    inside[before] = truth.mask[v[before], u[before]]
+    return float(surface.areas[~inside].sum() / surface.areas.sum())

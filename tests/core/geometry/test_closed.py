@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.geometry.closed import is_closed, joined_vertices, why_open
-from kinectbench.core.geometry.mesh import isosurface
+from kinectbench.core.geometry.mesh import is_closed, isosurface, joined_vertices, why_open
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.closed_mesh import closed_mesh
 from kinectbench.scoring.prediction_file import load_prediction

@@ -12,11 +12,11 @@ from kinectbench.core.voxels.pair_file import Pair, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.view_grids import depth_cells, object_cube, partial_grids
+from kinectbench.lab.synthesize.make import make_synthetic_pair
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh, as_seeable, check_mesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
-from kinectbench.lab.synthesize.pair import make_synthetic_pair
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, camera_pose, virtual_camera
-from kinectbench.release.check.pair_check import pair_problems
+from kinectbench.release.check.view_check import pair_problems
 
 SETTINGS = SynthesisSettings(up="y")
 CAMERA = virtual_camera(320)

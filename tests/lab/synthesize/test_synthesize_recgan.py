@@ -7,9 +7,9 @@ from synthesis_shapes import asymmetric, mesh_of
 
 from kinectbench.core.voxels.pair_file import Pair, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.lab.synthesize.make import make_synthetic_pair, recgan_bytes
 from kinectbench.lab.synthesize.mesh_check import check_mesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
-from kinectbench.lab.synthesize.pair import make_synthetic_pair, recgan_bytes
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views, virtual_camera
 from kinectbench.release.exchange.layouts import recgan_path
 

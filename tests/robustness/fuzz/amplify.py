@@ -251,7 +251,7 @@ def null_rows_of_a_table(folder: Path, units: int) -> Run:
 
 def letters_of_methods(_: Path, units: int) -> Run:
     """Methods in groups of three that differ within the group alone: 3 ^ (n / 3) groups."""
-    from kinectbench.scoring.significance_letters import significance_letters
+    from kinectbench.scoring.uncertainty import significance_letters
 
     names = [f"method_{number}" for number in range(units)]
     trios = [names[first : first + 3] for first in range(0, units, 3)]

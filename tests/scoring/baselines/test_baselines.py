@@ -25,12 +25,10 @@ from kinectbench.core.voxels.pair_file import Pair, PairInput, pack, read_pair, 
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.release.release import Release
 from kinectbench.report.run import write_galleries
-from kinectbench.scoring.baselines.for_comparison import comparison_baselines
-from kinectbench.scoring.baselines.hull import carved_hull, extruded, hull, silhouette
-from kinectbench.scoring.baselines.in_grids import score_baselines
+from kinectbench.scoring.baselines import registry
+from kinectbench.scoring.baselines.in_grids import comparison_baselines, score_baselines
 from kinectbench.scoring.baselines.inputs import Inputs, TrainingTruth, read_training, up_in_grid
 from kinectbench.scoring.baselines.kernels import mirror_gain
-from kinectbench.scoring.baselines.mirror import best_plane, mirror, mirrored
 from kinectbench.scoring.baselines.predict import BaselineTask, possible_baselines, predicted, write_baselines
 from kinectbench.scoring.baselines.registry import BASELINES, constant, empty, mean_shape, nearest, partial
 from kinectbench.scoring.prediction_file import load_prediction
@@ -171,7 +169,7 @@ def test_unknown_baseline(release: Release, tmp_path: Path) -> None:
 
 
 def test_the_carved_hull_has_nothing_that_was_seen_to_be_empty() -> None:
-    whole, carved = hull(inputs()), carved_hull(inputs())
+    whole, carved = registry.hull(inputs()), registry.carved_hull(inputs())
     surface, seen = unpack(PAIR.partial_256), unpack(PAIR.seen)
     assert not (carved & seen & ~surface).any() and not (surface & ~carved).any()
     assert not (carved & ~whole).any()
@@ -181,7 +179,7 @@ def test_silhouette_of_a_plate_is_a_pyramid() -> None:
     plate = np.zeros((64, 64, 64), bool)
     plate[20:44, 24:40, 10] = True
     camera = np.array([31.5, 31.5, -54.0])  # 64 cells before the plate
-    filled = extruded(plate, camera)
+    filled = registry.extruded(plate, camera)
     cells = np.argwhere(np.ones_like(plate)).astype(float)
     behind = cells[:, 2] >= 10
     scale = 64 / np.maximum(cells[:, 2] - camera[2], 1)
@@ -191,7 +189,7 @@ def test_silhouette_of_a_plate_is_a_pyramid() -> None:
     edge = np.minimum(np.abs(np.abs(at[:, 0] - 31.5) - 12), np.abs(np.abs(at[:, 1] - 31.5) - 8))
     assert not (wrong & (edge > 0.5)).any()
     assert filled[:, :, 63].sum() > 1.5 * plate.sum()  # it grows with the distance
-    ahead = extruded(plate, np.array([31.5, 31.5, 5.0]))  # the camera is in the grid: straight on
+    ahead = registry.extruded(plate, np.array([31.5, 31.5, 5.0]))  # the camera is in the grid: straight on
     assert ahead[:, :, 63].sum() == plate.sum()
 
 
@@ -199,7 +197,7 @@ def test_silhouette_holds_the_partial_and_the_shape_behind_it() -> None:
     T_world_camera = PAIR.T_world_grid.copy()  # far before the grid: rays along z
     T_world_camera[:3, 3] += PAIR.T_world_grid[:3, :3] @ np.array([128, 128, -1e5]) * PAIR.voxel_size_m
     front = (full := unpack(PAIR.full)) & (full.argmax(axis=2)[..., None] + 1 >= np.arange(256))
-    solid = silhouette(inputs(replace(PAIR, T_world_camera=T_world_camera, partial_256=pack(front))))
+    solid = registry.silhouette(inputs(replace(PAIR, T_world_camera=T_world_camera, partial_256=pack(front))))
     assert (solid & front).sum() == front.sum()
     assert (solid & full).sum() > 0.9 * full.sum()
 
@@ -213,12 +211,12 @@ def test_the_mirror_plane_of_a_box() -> None:
     reduce = np.asarray(partial.reshape(64, 4, 64, 4, 64, 4).any(axis=(1, 3, 5)))
     empty_seen = ~np.asarray(shape.reshape(64, 4, 64, 4, 64, 4).any(axis=(1, 3, 5)))
     points = np.argwhere(partial) + np.float64(0.5)
-    normal, offset = best_plane(points, reduce, empty_seen, UP)
-    image = mirrored(points, normal, offset)
+    normal, offset = registry.best_plane(points, reduce, empty_seen, UP)
+    image = registry.mirrored(points, normal, offset)
     assert abs(normal[1]) < 1e-9
     cells = np.clip(np.floor(image).astype(int), 0, 255)
     assert shape[tuple(cells.T)].mean() > 0.9
-    np.testing.assert_allclose(mirrored(image, normal, offset), points)
+    np.testing.assert_allclose(registry.mirrored(image, normal, offset), points)
 
 
 @pytest.mark.parametrize("hand", [1, -1])
@@ -231,7 +229,8 @@ def test_the_mirror_plane_is_found_on_either_side(hand: int) -> None:
     given, wanted = roof[::hand], other[::hand]
     reduced = np.asarray(wanted.reshape(64, 4, 64, 4, 64, 4).any(axis=(1, 3, 5)))
     points = np.argwhere(given) + np.float64(0.5)
-    cells = np.floor(mirrored(points, *best_plane(points, reduced, ~reduced, UP)) / 4).astype(int).clip(0, 63)
+    image = registry.mirrored(points, *registry.best_plane(points, reduced, ~reduced, UP))
+    cells = np.floor(image / 4).astype(int).clip(0, 63)
     assert reduced[tuple(cells.T)].mean() > 0.9
 
 
@@ -244,7 +243,7 @@ def test_mirror_adds_to_the_partial() -> None:
         partial=pack(reduce_blocks(front, "any")),
         seen=pack(unpack(PAIR.seen) & cut),
     )
-    found = mirror(inputs(halved))
+    found = registry.mirror(inputs(halved))
     assert (found & front).sum() == front.sum() and found.sum() > front.sum()
 
 
@@ -311,7 +310,7 @@ def plain_extruded(partial: np.ndarray, camera_cells: np.ndarray) -> np.ndarray:
 def test_silhouette_plane_by_plane(camera: tuple[float, float, float]) -> None:
     partial = np.random.default_rng(5).random((64, 64, 64)) < 0.003
     partial[:, :, :9] = False
-    found = extruded(partial, np.array(camera))
+    found = registry.extruded(partial, np.array(camera))
     np.testing.assert_array_equal(found, plain_extruded(partial, np.array(camera)))
     assert found.sum() > 3 * partial.sum()
 
@@ -320,7 +319,7 @@ def test_mirror_gain_by_hand() -> None:
     rng = np.random.default_rng(6)
     points, gain = rng.random((200, 3)) * 80 - 4, rng.integers(-1, 2, (18, 18, 18)).astype(np.int8)
     normal = np.array([0.6, 0.0, 0.8])
-    cells = np.floor(mirrored(points, normal, 40.0) / 4).astype(int)
+    cells = np.floor(registry.mirrored(points, normal, 40.0) / 4).astype(int)
     expected = sum(int(gain[tuple(cell)]) if ((cell >= 0) & (cell < 18)).all() else -1 for cell in cells)
     assert mirror_gain(points, points @ normal, normal, 40.0, 4, gain) == expected
 

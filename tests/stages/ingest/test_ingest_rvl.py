@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from raising import raises
 
-from kinectbench.lab.simulate.writers.rvl_encoder import encode_rvl
+from kinectbench.lab.simulate.writers.bags import encode_rvl
 from kinectbench.stages.ingest.bags.rvl import decode_rvl
 from kinectbench.stages.ingest.images import DamagedImageError
 
