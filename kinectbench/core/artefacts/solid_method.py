@@ -38,6 +38,9 @@ class AirMethod(StoredPart):
     receding_voxels: int | None = Field(
         None, description="how far a side recedes below the object where it may be such a gap, voxels"
     )
+    beside_leg_m: float | None = Field(
+        None, description="so near to an underside over open space there is more of it, metres"
+    )
 
     @property
     def limits(self) -> SensorLimits:

@@ -20,15 +20,11 @@ from kinectbench.core.voxels.line_kernels import (
     sees,
 )
 from kinectbench.core.voxels.lines_of_sight import Space, directions, seen_outwards, ways_along
-from kinectbench.core.voxels.morphology import dilated, distance_within_m, from_beyond, reached_from_beyond
+from kinectbench.core.voxels.morphology import dilated, distance_within_m, from_beyond
+from kinectbench.core.voxels.open_below import without_rising
 
 # Distances from voxel to voxel are exact except for rounding.
 ROUNDING_M = 1e-6
-# Below an object on legs, this many of eight level rays lead out. Behind a door or a front, and under a desk
-# with a back and two sides, at most three do.
-OPEN_WAYS = 5
-# Within this distance of a camera position there is one whose ways out no leg blocks: legs are thinner.
-BESIDE_M = 0.3
 # This many directions, 1.8 degrees apart, are tried behind gaps. 1,600 narrow lines miss 1.6 % (.5 %) of the
 # volume of a crate with a hole of 5 cm (7 cm) in its top. 6,400 wide lines miss .6 % (.2 %), and 12,800 or
 # 25,600 wide lines .3 % (.1 %).
@@ -172,74 +168,6 @@ class _Lines:
             return None
         unseen = (already == 0) & ~self.obstacle
         return dilated(unseen, (max(1, int(_grown_voxels(limits, voxel_size_m))),) * 3)
-
-
-def without_rising(space: Space, empty: Bools) -> Space:
-    """Return the space without camera positions that are reached only by rising into an object from below.
-
-    A camera below an object on legs could otherwise rise through its unseen underside. Where walls surround
-    a camera, it came in through a side, and may rise: a cabinet is higher than its door.
-
-    Args:
-        space: where lines pass and cameras can be.
-        empty: bool of the same shape, voxels that were seen to be empty; all others count as unseen.
-    """
-    place = space.state == PLACE
-    reached = reached_from_beyond(place, empty)
-    if np.array_equal(reached, place):
-        return space
-    ways = _level_ways_out(space.state, reached & ~empty)
-    # Beside a leg few ways lead out, a little farther away more.
-    beside = round(BESIDE_M / space.voxel_size_m)
-    below = _open_below(space.state, dilated(ways >= OPEN_WAYS, (beside, beside, 0)))
-    may_enter = empty.copy()
-    may_enter[:, :, 1:] |= ~below[:, :, :-1]
-    reached = reached_from_beyond(place, may_enter)
-    return replace(space, state=np.where(place & ~reached, np.uint8(PASSABLE), space.state))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
-    """For each `asked` voxel, count the rays (of 8 level rays) that reach the grid's border.
-
-    `state` is as in `Space`: BLOCKED voxels stop a ray. The result is (nx, ny, nz), 0 where not `asked`.
-    """
-    nx, ny, nz = state.shape
-    ways = np.zeros(state.shape, np.uint8)
-    # Which rays of a slice lead out; the first and the last row lie outside the grid.
-    here, onward = np.ones((ny + 2, nz), np.bool_), np.ones((ny + 2, nz), np.bool_)
-    for way in range(9):
-        dx, dy = way // 3 - 1, way % 3 - 1
-        if dx == 0 and dy == 0:
-            continue
-        onward[:] = True
-        # A ray leads out if its next voxel does, so that is visited before.
-        for i in range(nx - 1, -1, -1) if dx > 0 else range(nx):
-            for j in range(ny - 1, -1, -1) if dy > 0 else range(ny):
-                following = (here if dx == 0 else onward)[j + 1 + dy]
-                for k in range(nz):
-                    leads_out = state[i, j, k] != BLOCKED and following[k]
-                    here[j + 1, k] = leads_out
-                    ways[i, j, k] += leads_out and asked[i, j, k]
-            here, onward = onward, here
-    return ways
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _open_below(state, open_here):  # type: ignore[no-untyped-def]
-    """Return a mask of voxels that are open below.
-
-    A voxel is open below if it, or a voxel straight below it with no BLOCKED voxel between, is `open_here`.
-    """
-    nx, ny, nz = state.shape
-    below = np.zeros(state.shape, np.bool_)
-    for i in range(nx):
-        for j in range(ny):
-            is_open = False
-            for k in range(nz):
-                is_open = state[i, j, k] != BLOCKED and (is_open or open_here[i, j, k])
-                below[i, j, k] = is_open
-    return below
 
 
 def line_space(

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from manifold3d import Manifold as Solid
+from numpy.typing import NDArray
 from raising import raises
 from scipy import ndimage
 
@@ -21,10 +22,15 @@ from kinectbench.core.types import Bools, Float32
 from kinectbench.core.voxels.line_kernels import BLOCKED, FROM_ABOVE, FROM_BELOW, PASSABLE, PLACE
 from kinectbench.core.voxels.lines_of_sight import directions, seen_along
 from kinectbench.core.voxels.morphology import reached_from_beyond
+from kinectbench.core.voxels.open_below import (
+    OPEN_WAYS,
+    WAYS_BESIDE_LEG,
+    _level_ways_out,
+    over_open_space,
+)
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid, seen_from_outside
 from kinectbench.core.voxels.sight import (
     _grown_back,
-    _level_ways_out,
     swept_from_outside,
 )
 
@@ -279,17 +285,46 @@ def test_reached_voxels_are_dilated_by_a_ball(radius: float) -> None:
         np.testing.assert_array_equal(grown & bit > 0, dilated)
 
 
+def level_ways(blocked: Bools, place: Bools) -> NDArray[np.int64]:
+    """By stepping along each ray from each voxel of `place`."""
+    ways = np.zeros(blocked.shape, int)
+    for at in np.argwhere(place):
+        for step in [(a, b, 0) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]:
+            line = [tuple(at + n * np.array(step)) for n in range(10)]
+            inside = [cell for cell in line if 0 <= cell[0] < 7 and 0 <= cell[1] < 8]
+            ways[tuple(at)] += not any(blocked[cell] for cell in inside)
+    return ways
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_over_open_space(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kind = rng.choice(4, (7, 8, 9), p=[0.6, 0.25, 0.1, 0.05])
+    part, body, obstacle = kind == 1, kind == 2, kind == 3
+    ways, expected = level_ways(obstacle, ~part), {}
+    for least in (OPEN_WAYS, WAYS_BESIDE_LEG):
+        expected[least] = np.zeros_like(part)
+        for i, j, k in np.argwhere(part):
+            bottom = k
+            while bottom and part[i, j, bottom - 1]:
+                bottom -= 1
+            first = bottom
+            while first and not (part | body)[i, j, first - 1]:
+                first -= 1
+            gap = "".join("o" if each >= least else "." for each in ways[i, j, first:bottom])
+            expected[least][i, j, k] = "oo" in gap or (first == 0 and gap.startswith("o"))
+    for beside in (0, 1):
+        near = ndimage.binary_dilation(expected[OPEN_WAYS], np.ones((2 * beside + 1, 2 * beside + 1, 1)))
+        found = over_open_space(part, body, obstacle, 2, beside)
+        assert (found == (near & expected[WAYS_BESIDE_LEG])).all()
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_positions_reached_without_rising(seed: int) -> None:
     rng = np.random.default_rng(seed)
     state = rng.choice([PLACE, PLACE, PLACE, PASSABLE, BLOCKED], (7, 8, 9)).astype(np.uint8)
     place, empty = state == PLACE, rng.random((7, 8, 9)) < 0.3
-    ways = np.zeros(state.shape, int)
-    for at in np.argwhere(place):
-        for step in [(a, b, 0) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]:
-            line = [tuple(at + n * np.array(step)) for n in range(10)]
-            inside = [cell for cell in line if 0 <= cell[0] < 7 and 0 <= cell[1] < 8]
-            ways[tuple(at)] += all(state[cell] != BLOCKED for cell in inside)
+    ways = level_ways(state == BLOCKED, place)
     assert (_level_ways_out(state, place) == ways).all()
     may_rise = empty
     inner = np.zeros_like(place)

@@ -25,7 +25,8 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.voxels.observation import Observation
-from kinectbench.core.voxels.sight import line_space, without_rising
+from kinectbench.core.voxels.open_below import without_rising
+from kinectbench.core.voxels.sight import line_space
 from kinectbench.stages.segment.judge.frontiers import (
     LEAST_AREA_M2,
     LEAST_NARROW_SHARE,

@@ -44,6 +44,7 @@ def _air(rules: Rules) -> AirMethod:
         sheet_voxels=evidence.SHEET_VOXELS,
         blurred_m=round(rules.blurred_m, 4),
         receding_voxels=evidence.RECEDING_VOXELS,
+        beside_leg_m=evidence.BESIDE_LEG_M,
     )
 
 

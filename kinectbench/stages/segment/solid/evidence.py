@@ -12,6 +12,7 @@ from kinectbench.core.types import Bools, Float32, Underside
 from kinectbench.core.voxels.lines_of_sight import Space
 from kinectbench.core.voxels.morphology import dilated, distance_within_m
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
+from kinectbench.core.voxels.open_below import over_open_space
 from kinectbench.core.voxels.sight import swept_from_outside
 
 # A voxel with less than this share of the surface's median weight was grazed by a few rays at most.
@@ -26,6 +27,8 @@ SHELL_VOXELS = 1.5
 # A line of sight ends within this many voxels of a measured surface, on both sides. If it ended in the whole
 # band behind the surface, every opening would narrow. It does not pass through a sheet of one voxel.
 SHEET_VOXELS = 1.2
+# So near to an underside over open space there is more of it: beside legs fewer level rays lead out.
+BESIDE_LEG_M = 0.05
 # Number of lines of sight: for the solid, and for solids that are only compared with one another.
 FINE: Final = 1600
 COARSE: Final = 400  # a quarter of the time
@@ -116,8 +119,9 @@ class VoxelEvidence:
             (`Sight.any_way`).
         closed: bool, unseen and part of the object: no camera could see it, or a camera could see it only
             from below and the user states that the underside is closed.
-        underside: bool, unseen, and a camera could see it only from below (`Sight.only_from_below`), whatever
-            the user states. In the layers `contact`: the voxels below such voxels.
+        underside: bool, unseen, and a camera could see it only from below (`Sight.only_from_below`) through
+            the object's underside (`over_open_space`), whatever the user states. In the layers `contact`: the
+            voxels below such voxels.
         contact: slice of the layers right above the floor, whose classes follow the layer above them.
         space: where lines of sight pass and cameras can be.
         lower: `space` without the camera positions that are reached only by rising through unseen space.
@@ -152,9 +156,8 @@ def classify_voxels(
 ) -> VoxelEvidence:
     """Classify the voxels, and find the unseen voxels that a camera could see.
 
-    The grid is upright. `neighbours` are voxels near a neighbour's surface, of which unmeasured ones may be
-    the object; `beyond` are voxels outside a given box. If `roughly`, fewer lines of sight are tried, for
-    solids that are only compared with one another.
+    The grid is upright. `neighbours` are voxels near a neighbour's surface; unmeasured ones may be the object.
+    `beyond` are voxels outside a given box. If `roughly`, fewer lines of sight are tried: to compare solids.
     """
     voxel_m, layers = observation.grid.voxel_size_m, rules.layers
     contact = slice(layers.below, layers.first)
@@ -176,8 +179,9 @@ def classify_voxels(
     near_surface[:, :, : layers.first] = False
     unseen = ~(free | near_surface | excluded)
     unseen[:, :, : layers.below] = False
-    underside = unseen & sight.only_from_below
     closed = unseen & (sight.any_way == 0)
+    underside = unseen & sight.only_from_below
+    underside &= _through_underside(underside, near_surface | closed, surface, rules, voxel_m)
     # In contact with the floor nothing is measured: these layers follow the layer above them.
     of_object, unseen_there = near_surface[:, :, layers.first], unseen[:, :, layers.first]
     solid = of_object | closed[:, :, layers.first]
@@ -203,6 +207,14 @@ def classify_voxels(
         space=sight.space,
         lower=sight.lower,
     )
+
+
+def _through_underside(part: Bools, body: Bools, obstacle: Bools, rules: Rules, voxel_m: float) -> Bools:
+    """Return which voxels of a part, seen only from below, are above open space (`over_open_space`)."""
+    above_floor, over = np.s_[:, :, rules.layers.first :], np.zeros_like(part)
+    near = round(rules.limits.camera_size_m / voxel_m), round(BESIDE_LEG_M / voxel_m)
+    over[above_floor] = over_open_space(part[above_floor], body[above_floor], obstacle[above_floor], *near)
+    return over
 
 
 def _heights_m(grid: Grid, rules: Rules) -> Float32 | None:

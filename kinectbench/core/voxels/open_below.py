@@ -1,0 +1,134 @@
+"""Open space below an object: where cameras rise into it from below, and what stands over open space."""
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+
+from kinectbench.core.types import Bools
+from kinectbench.core.voxels.line_kernels import BLOCKED, PASSABLE, PLACE
+from kinectbench.core.voxels.lines_of_sight import Space
+from kinectbench.core.voxels.morphology import dilated, reached_from_beyond
+
+# Below an object on legs, this many of eight level rays lead out. Behind a door or a front, and under a desk
+# with a back and two sides, at most three do.
+OPEN_WAYS = 5
+# Beside a leg of an object, one fewer of them leads out.
+WAYS_BESIDE_LEG = 4
+# Within this distance of a camera position there is one whose ways out no leg blocks: legs are thinner.
+BESIDE_M = 0.3
+
+
+def without_rising(space: Space, empty: Bools) -> Space:
+    """Return the space without camera positions that are reached only by rising into an object from below.
+
+    A camera below an object on legs could otherwise rise through its unseen underside. Where walls surround
+    a camera, it came in through a side, and may rise: a cabinet is higher than its door.
+
+    Args:
+        space: where lines pass and cameras can be.
+        empty: bool of the same shape, voxels that were seen to be empty; all others count as unseen.
+    """
+    place = space.state == PLACE
+    reached = reached_from_beyond(place, empty)
+    if np.array_equal(reached, place):
+        return space
+    ways = _level_ways_out(space.state, reached & ~empty)
+    # Beside a leg few ways lead out, a little farther away more.
+    beside = round(BESIDE_M / space.voxel_size_m)
+    below = _open_below(space.state, dilated(ways >= OPEN_WAYS, (beside, beside, 0)))
+    may_enter = empty.copy()
+    may_enter[:, :, 1:] |= ~below[:, :, :-1]
+    reached = reached_from_beyond(place, may_enter)
+    return replace(space, state=np.where(place & ~reached, np.uint8(PASSABLE), space.state))
+
+
+def over_open_space(part: Bools, body: Bools, obstacle: Bools, height: int, beside: int) -> Bools:
+    """Return which voxels of a part have open space below the object under them, not a room inside of it.
+
+    Space is open where `OPEN_WAYS` of eight level rays lead out of the grid. Straight below the part, and not
+    below the body, that must be so from a voxel down to the bottom layer, or over the height of a camera: not
+    only at the height of a slot in the sides. Where the part itself reaches down to the bottom layer, cameras
+    look in through a side.
+
+    Args:
+        part: bool (nx, ny, nz), its last axis up, its bottom layer that above the floor; unseen voxels that
+            cameras see only from below.
+        body: bool of the same shape, voxels of the object.
+        obstacle: bool of the same shape, voxels that level rays do not cross.
+        height: of a camera, in voxels.
+        beside: within so many voxels of one over open space, `WAYS_BESIDE_LEG` rays are enough.
+    """
+    state = np.where(obstacle, np.uint8(BLOCKED), np.uint8(PASSABLE))
+    asked = ~(part | body) & np.logical_or.accumulate(part[:, :, ::-1], axis=2)[:, :, ::-1]
+    ways = _level_ways_out(state, asked)
+    near = dilated(_over_open(part, body, ways, height, OPEN_WAYS), (beside, beside, 0))
+    return np.asarray(near & _over_open(part, body, ways, height, WAYS_BESIDE_LEG))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
+    """For each `asked` voxel, count the rays (of 8 level rays) that reach the grid's border.
+
+    `state` is as in `Space`: BLOCKED voxels stop a ray. The result is (nx, ny, nz), 0 where not `asked`.
+    """
+    nx, ny, nz = state.shape
+    ways = np.zeros(state.shape, np.uint8)
+    # Which rays of a slice lead out; the first and the last row lie outside the grid.
+    here, onward = np.ones((ny + 2, nz), np.bool_), np.ones((ny + 2, nz), np.bool_)
+    for way in range(9):
+        dx, dy = way // 3 - 1, way % 3 - 1
+        if dx == 0 and dy == 0:
+            continue
+        onward[:] = True
+        # A ray leads out if its next voxel does, so that is visited before.
+        for i in range(nx - 1, -1, -1) if dx > 0 else range(nx):
+            for j in range(ny - 1, -1, -1) if dy > 0 else range(ny):
+                following = (here if dx == 0 else onward)[j + 1 + dy]
+                for k in range(nz):
+                    leads_out = state[i, j, k] != BLOCKED and following[k]
+                    here[j + 1, k] = leads_out
+                    ways[i, j, k] += leads_out and asked[i, j, k]
+            here, onward = onward, here
+    return ways
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _open_below(state, open_here):  # type: ignore[no-untyped-def]
+    """Return a mask of voxels that are open below.
+
+    A voxel is open below if it, or a voxel straight below it with no BLOCKED voxel between, is `open_here`.
+    """
+    nx, ny, nz = state.shape
+    below = np.zeros(state.shape, np.bool_)
+    for i in range(nx):
+        for j in range(ny):
+            is_open = False
+            for k in range(nz):
+                is_open = state[i, j, k] != BLOCKED and (is_open or open_here[i, j, k])
+                below[i, j, k] = is_open
+    return below
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _over_open(part, body, ways, height, least):  # type: ignore[no-untyped-def]
+    """Return the voxels of a part under which at least `least` of the level rays lead out (`ways`)."""
+    nx, ny, nz = part.shape
+    over = np.zeros(part.shape, np.bool_)
+    for i in range(nx):
+        for j in range(ny):
+            # Whether space below is open, and so many voxels of it, also from here down.
+            is_open, high, low = False, 0, True
+            for k in range(nz):
+                if part[i, j, k]:
+                    over[i, j, k] = is_open
+                    high, low = 0, False
+                    continue
+                if k == 0 or body[i, j, k] or part[i, j, k - 1]:
+                    is_open, high, low = False, 0, k == 0
+                if not body[i, j, k] and ways[i, j, k] >= least:
+                    high += 1
+                    is_open |= low or high >= height
+                else:
+                    high, low = 0, False
+    return over
