@@ -89,19 +89,6 @@ def test_settings_win_over_the_recording(tmp_path: Path) -> None:
     assert recording.depth_scale == 1000.0
 
 
-def test_the_benchmark_s_own_intrinsics_are_offered(tmp_path: Path) -> None:
-    """TUM's recordings hold none; where another file may hold them, that is named instead."""
-    folder = write_tum(tmp_path / "r")
-    (folder / "camera.json").unlink()
-    for file in (folder / "depth").iterdir():
-        file.write_bytes(png(np.full((480, 640), 5000, np.uint16)))
-    with raises(RecordingError, "recording.no-intrinsics", match=r"freiburg3 `\{fx: 535.4, fy: 539.2"):
-        open_recording(folder)
-    (folder / "calib.ini").write_text("?")
-    with raises(RecordingError, "recording.no-intrinsics", match="they may stand in calib.ini$"):
-        open_recording(folder)
-
-
 def test_missing_intrinsics(tmp_path: Path) -> None:
     folder = write_tum(tmp_path / "r")
     (folder / "camera.json").unlink()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_writers import FX, png, write_folder
+from ingest_writers import FX, png, write_folder, write_tum
 from ingest_writers import depth_image as depth
 from raising import raises
 
@@ -138,3 +138,16 @@ def test_depth_written_by_opencv_as_text_is_named(tmp_path: Path) -> None:
         (tmp_path / f"depthMatrices/{i}.yml").write_text(f"{head}   data: [ {numbers} ]\n")
     with raises(RecordingError, "recording.unknown-format", match=r"6 \.yml files.*cv2\.FileStorage"):
         open_recording(tmp_path)
+
+
+def test_the_benchmark_s_own_intrinsics_are_offered(tmp_path: Path) -> None:
+    """TUM's recordings hold none; where another file may hold them, that is named instead."""
+    folder = write_tum(tmp_path / "r")
+    (folder / "camera.json").unlink()
+    for file in (folder / "depth").iterdir():
+        file.write_bytes(png(np.full((480, 640), 5000, np.uint16)))
+    with raises(RecordingError, "recording.no-intrinsics", match=r"freiburg3 `\{fx: 535.4, fy: 539.2"):
+        open_recording(folder)
+    (folder / "calib.ini").write_text("?")
+    with raises(RecordingError, "recording.no-intrinsics", match="they may stand in calib.ini$"):
+        open_recording(folder)
