@@ -58,9 +58,6 @@ SAME_UNIT = (
 # Findings whose advice is a number that depends on the intrinsics; with guessed ones, none is advised.
 BY_INTRINSICS = frozenset({"trajectory_delay", LENGTHS})
 GUESSED = "give the intrinsics, and inspect again: by guessed ones no number is advised"
-# Findings whose advice is how to read poses that are read as they are.
-READINGS = frozenset({"trajectory_reading", "trajectory_scale"})
-OWN_READING = "take `trajectory_reading` out of benchmark.yaml, and inspect again"
 # Findings that make depth meaningless: no further check is useful.
 HOPELESS = frozenset({"no_depth", "byte_order", "depth_normalised", "depth_sizes"})
 
@@ -153,16 +150,9 @@ def inspect(
         if recording.given_trajectory is not None and tracking is not None and not hopeless:
             step("grading the given poses")
             findings += [_by_own_pixels(probe)] if own_pixels else check_grade(probe, tracking, mode)
-    own_reading = settings is not None and settings.trajectory_reading is not None
-    findings = _with_own_advice(findings, guessed=guessed, own_reading=own_reading)
+    if guessed:
+        findings = [replace(f, advice=GUESSED) if f.name in BY_INTRINSICS else f for f in findings]
     return Diagnosis(facts, gravest_first(findings)), probe
-
-
-def _with_own_advice(findings: list[Finding], *, guessed: bool, own_reading: bool) -> list[Finding]:
-    """Replace advice that is meant for stated intrinsics, or for poses that are read as they are."""
-    advice = dict.fromkeys(BY_INTRINSICS, GUESSED) if guessed else {}
-    advice |= dict.fromkeys(READINGS, OWN_READING) if own_reading else {}
-    return [replace(f, advice=advice[f.name]) if f.name in advice else f for f in findings]
 
 
 def _inside(path: Path, recording: Recording) -> Iterator[Finding]:

@@ -15,7 +15,7 @@ TURNTABLE = "put `segment_by: turntable` of the recording into benchmark.yaml if
 MASKS = "if it is carried about, give a mask of every frame and `segment_by: masks`"
 OWN_MASKS = "put `segment_by: masks` of the recording into benchmark.yaml: it brings masks of the object"
 WALK = "walk around the object, or let it turn"
-OBJECTS_POSES = "if the given poses are the object's, `trajectory: trust` uses them"
+OBJECTS_POSES = "if the given poses are the camera's as seen from the object, `trajectory: trust` uses them"
 # Findings about a static camera: all its poses are the same.
 NO_MOTION = frozenset({"one_view", "turntable"})
 # Poses of one place: their positions differ by less than this share of the median depth (our own bound).

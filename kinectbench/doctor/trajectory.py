@@ -41,13 +41,11 @@ SIMPLER = 0.97
 HOPELESS, LEAST_PAIRS = 0.6, 3
 # If no likely convention lowers the disagreement of a static camera to this ratio, further ones are tried.
 CLEARLY_BETTER = 0.8
-# If the camera moved, poses that fit no better than a static camera fit badly.
-MOVED, NO_BETTER = 0.15, 0.9
+MOVED, NO_BETTER = 0.15, 0.9  # if the camera moved, poses that fit no better than a static one fit badly
 # The residual is that of points near a surface, so it decides only if the poses as given have at least this
 # share of the other convention's agreement (1 - disagreement). Measured: exact poses 0.9, wrong ones 0.15.
 LEAST_SUPPORT = 0.5
-# Pairs whose disagreement no convention changes by this much against a static camera do not tell conventions
-# apart. Chosen by hand: noise of a Kinect at 1 m makes about 0.03.
+# Chosen by hand (noise at 1 m: 0.03): by less a pair tells no convention from a static camera.
 APART = 0.01
 # Poses prove the depth scale if every other scale fits worse by more than this ratio. Chosen by hand.
 OTHER_SCALE = 0.97
@@ -58,6 +56,7 @@ FACTORS = {1e9: "seconds read as nanoseconds", 1e6: "1000000 times too small", 1
 LEAST_SPAN = 0.1
 POSED_SHARE = 0.9
 SMALL_ARC_DEG = 270.0
+OWN_READING = "take `trajectory_reading` out of benchmark.yaml, and inspect again"
 
 
 @dataclass(frozen=True)
@@ -290,7 +289,7 @@ def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
         yield from at_one_place
         return
     yield from _convention(probe, fit)
-    late = []
+    late = list[Finding]()
     if not fit.convention.changes or fit.fits:
         late = list(check_trajectory_delay(probe, given, fit.convention, fit.pairs))
     # Poses with a clock offset also fit better with other lengths.
@@ -363,6 +362,7 @@ def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
         )
         line = fit.convention.setting()
         read_so = f"put `camera: {line}` into benchmark.yaml" if line else "write them again so"
+        read_so = OWN_READING if probe.recording.trajectory_read else read_so
         name, advice = "trajectory_reading", f"{read_so}, or `trajectory: ignore`"
         if fit.convention.changes == 1 and fit.convention.unit_m != 1:
             _, median_m, far_m = depth_quantiles_m(probe).tolist()

@@ -39,7 +39,7 @@ class AirMethod(StoredPart):
         None, description="how far a side recedes below the object where it may be such a gap, voxels"
     )
     beside_leg_m: float | None = Field(
-        None, description="so near to an underside over open space there is more of it, metres"
+        None, description="within this of an underside over open space, four level rays are enough, metres"
     )
 
     @property

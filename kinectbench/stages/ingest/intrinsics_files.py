@@ -255,9 +255,9 @@ def _cameras_inside(file: Path) -> list[tuple[str, str]]:
             raw = read_json_object(file, HELD, YAML_BYTES)
             raw = {file.stem: raw, **raw}
         elif file.suffix.lower() in TEXTS:
-            raw = {file.stem: _in_text(file)} | _under_titles(file)
-        elif file.suffix.lower() == ".npy":
-            raw = _under_titles(file)
+            raw = {file.stem: _in_text(file)}
+    if file.suffix.lower() in TEXTS | {".npy"}:
+        raw |= _under_titles(file)
     cameras = list[tuple[str, str]]()
     for name, value in raw.items():
         with suppress(RecordingError):  # of another kind, or no camera's numbers
@@ -283,8 +283,12 @@ def _in_text(file: Path) -> Intrinsics | None:
 
 def _under_titles(file: Path) -> dict[str, object]:
     """Return each 3x3 pinhole matrix of a text, by the title above it, or of an array, by its name."""
-    titled = ((" ".join(names), matrix) for names, matrix in named_matrices(file))
-    return {title: pinhole(K, file) for title, K in titled if K.shape == (3, 3)}
+    cameras = dict[str, object]()
+    for names, K in named_matrices(file):
+        with suppress(RecordingError):  # a rotation, for example
+            if K.shape == (3, 3):
+                cameras[" ".join(names)] = pinhole(K, file)
+    return cameras
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:

@@ -1,5 +1,6 @@
 """Read the matrices of a text or JSON file that stand under names: cameras, and the pose of each frame."""
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +15,11 @@ from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy
 from kinectbench.stages.ingest.json_values import JSON_BYTES, json_numbers, read_json_object
 
 SHAPES = frozenset({(3, 3), (3, 4), (4, 4)})
+# Most rows and columns of a matrix, and characters of a title that count (chosen by hand).
+SIDE, LONGEST_TITLE = 4, 200
+# Names that may count other things than frames, and words of matrices that are no poses of the camera.
+SHORT_NUMBER = re.compile(r"\d{1,2}")
+OF_SOMETHING_ELSE = re.compile(r"obj|joint|left|right|align|crop|imu|homograph|intrinsic", re.IGNORECASE)
 SUFFIXES = frozenset({".json", ".txt"})
 WHAT = "matrices under names"
 # Levels of a JSON file to look at, and files to read of a folder (chosen by hand).
@@ -43,34 +49,43 @@ def named_matrices(file: Path) -> list[tuple[tuple[str, ...], Float64]]:
     return []
 
 
-def poses_by_frame(beside: Sequence[Path], stems: Sequence[str]) -> tuple[list[Float64 | None], Path] | None:
+def poses_by_frame(
+    beside: Sequence[Path], stems: Sequence[str]
+) -> tuple[list[Float64 | None], tuple[Path, ...]] | None:
     """Find the poses that a file beside the images holds under the names of the frames, as camera.json may.
 
     Args:
-        beside: files to look at, of which only texts and JSON count, at most `MOST_FILES`.
+        beside: files to look at, of which only texts and JSON count that are not of one frame, at most
+            `MOST_FILES`.
         stems: names of the depth images without suffix.
 
     Returns:
-        Each frame's 4x4 matrix as the file has it (None without one), and the file; None if no file has
-            poses of half of the frames.
+        Each frame's 4x4 matrix as the first such file has it (None without one), and all such files; None if
+            no file has poses of half of the frames, or, where short numbers name the frames, of all of them.
     """
-    wanted = set(stems)
-    for file in [file for file in beside if file.suffix.lower() in SUFFIXES][:MOST_FILES]:
+    wanted, poses, files = set(stems), list[dict[str, Float64]](), list[Path]()
+    least = len(stems) if any(map(SHORT_NUMBER.fullmatch, stems)) else LEAST_POSED * len(stems)
+    looked_at = [file for file in beside if file.suffix.lower() in SUFFIXES and file.stem not in wanted]
+    for file in looked_at[:MOST_FILES]:
         found = dict[str, list[Float64]]()
         for names, matrix in named_matrices(file):
             of = wanted.intersection(names)
-            if len(of) == 1 and matrix.shape != (3, 3):
+            other = any(OF_SOMETHING_ELSE.search(name) for name in names)
+            if len(of) == 1 and matrix.shape != (3, 3) and not other:
                 found.setdefault(of.pop(), []).append(matrix)
         sure = {stem: each[0] for stem, each in found.items() if len(each) == 1}
-        if len(sure) >= max(2, LEAST_POSED * len(stems)):
-            return [_square(sure.get(stem)) for stem in stems], file
-    return None
+        moves = any(not np.array_equal(T, np.eye(4)[: len(T)]) for T in sure.values())
+        if moves and len(sure) >= max(2, least):
+            poses.append(sure)
+            files.append(file)
+    return ([_square(poses[0].get(stem)) for stem in stems], tuple(files)) if poses else None
 
 
-def taken_for_poses(file: Path) -> str:
-    """Return the warning on poses that `poses_by_frame` found."""
-    held = "holds a matrix under the name of each frame"
-    return f"{printable(str(file))}: {held}, which is taken for its pose, camera to world"
+def taken_for_poses(files: Sequence[Path]) -> str:
+    """Return the warning on poses that `poses_by_frame` took from the first file, and not from the others."""
+    held = "holds a matrix under the name of each frame, which is taken for its pose, camera to world"
+    others = f", and not from {', '.join(file.name for file in files[1:])}" if files[1:] else ""
+    return printable(f"{files[0]}: {held}{others}; `trajectory: ignore` does without them", 500)
 
 
 def _small_array(file: Path) -> NDArray[np.generic]:
@@ -94,16 +109,17 @@ def _of_json(value: dict[str, object], names: tuple[str, ...]) -> Iterator[tuple
 def _of_text(text: str) -> Iterator[tuple[tuple[str, ...], Float64]]:
     title, rows = "", list[list[float]]()
     for line in (*text.splitlines(), ""):
-        words = line.translate(PUNCTUATION).split()
+        words = line.translate(PUNCTUATION).split(maxsplit=SIDE)
         numbers = list[float]()
-        with suppress(ValueError):
-            numbers = [float(word) for word in words]
+        if SIDE - 1 <= len(words) <= SIDE:
+            with suppress(ValueError):
+                numbers = [float(word) for word in words]
         if numbers:
-            rows.append(numbers)
+            rows = [*rows, numbers][: SIDE + 1]  # a longer block is no matrix
             continue
         if rows and title and len({len(row) for row in rows}) == 1 and np.shape(rows) in SHAPES:
             yield tuple(title.split()), np.array(rows)
-        title, rows = (line.strip("#/ \t:") if words or rows else title), []
+        title, rows = (line[:LONGEST_TITLE].strip("#/ \t:") if words or rows else title), []
 
 
 def _square(matrix: Float64 | None) -> Float64 | None:

@@ -136,6 +136,7 @@ class Recording(ABC):
         color_delay_s: delay, from the settings, that was subtracted from the stamps of colour, seconds.
         trajectory_delay_s: delay, from the settings, that was subtracted from the stamps of given poses,
             seconds.
+        trajectory_read: whether the settings say how given poses are stored.
         warnings: lines for the user.
         recorded: stamps of depth and of colour in the order of recording, nanoseconds; None: as in `places`.
         up_cameras: the up direction in camera axes at some frames, measured by an accelerometer.
@@ -159,6 +160,7 @@ class Recording(ABC):
     trajectory_error: str = ""
     color_delay_s: float = 0.0
     trajectory_delay_s: float = 0.0
+    trajectory_read: bool = False
     warnings: tuple[str, ...] = ()
     recorded: tuple[tuple[int, ...], tuple[int, ...]] | None = None
     up_cameras: tuple[UpSample, ...] = ()

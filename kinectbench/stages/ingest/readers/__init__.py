@@ -264,6 +264,7 @@ def _with_corrections(recording: Recording, camera: CameraSettings) -> Recording
         given_trajectory=given,
         color_delay_s=camera.color_delay_s if "color_delay_s" in recording.uses else 0.0,
         trajectory_delay_s=camera.trajectory_delay_s,
+        trajectory_read=camera.trajectory_reading is not None,
     )
 
 

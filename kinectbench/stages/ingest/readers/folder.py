@@ -69,12 +69,11 @@ from kinectbench.stages.ingest.readers.pose_files import (
     named_poses,
     pose_file,
     pose_folder,
-    read_log,
     read_pose_file,
     read_pose_folder,
-    starts_like_a_log,
     with_y_down,
 )
+from kinectbench.stages.ingest.readers.redwood_log import read_log, starts_like_a_log
 from kinectbench.stages.ingest.recording import (
     COLOR_DELAY,
     FrameFiles,

@@ -1,6 +1,5 @@
 """Read poses from text: one file for all frames (TUM, RTAB-Map, KITTI, matrices), or one per frame."""
 
-import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -8,22 +7,26 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core import GivenPosesError, RecordingError, printable, read_head
+from kinectbench.core import GivenPosesError, RecordingError, printable
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
 from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_numbers, text_rows
 from kinectbench.core.trajectory.trajectory_file import (
-    TimedPose,
     read_trajectory_file,
     trajectory_from_matrices,
-    trajectory_from_poses,
 )
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER, frame_numbers
 from kinectbench.stages.ingest.intrinsics_files import names_like
 from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, is_like_poses, visible
-from kinectbench.stages.ingest.named_matrices import named_matrices, poses_by_frame, taken_for_poses
+from kinectbench.stages.ingest.named_matrices import (
+    LEAST_POSED,
+    named_matrices,
+    poses_by_frame,
+    taken_for_poses,
+)
+from kinectbench.stages.ingest.readers.redwood_log import read_log
 from kinectbench.stages.ingest.recording import FrameFiles
 
 # Names of files with all poses, the first existing one is read: RTAB-Map and others, TUM, ICL and Replica.
@@ -33,6 +36,8 @@ POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
 WITHOUT_STAMP, WITH_ID, KITTI, MATRIX = 7, 9, 12, 16
 # A file of this name is read only if it has a pose for each frame: it may be the pose of something else.
 LOOSE_POSES = "pose.txt"
+# Rounded quaternions have a length of 1 within this (chosen by hand).
+MOST_OFF_UNIT = 0.05
 TUM_ROWS = "as TUM has it: t tx ty tz qx qy qz qw, camera to world"
 POSE_FOLDERS = ("pose", "poses")
 
@@ -67,13 +72,27 @@ def named_poses(
     loose = in_any_case(path, LOOSE_POSES)
     if loose.is_file():
         with suppress(RecordingError):
-            return read_pose_file(loose, stamps_ns, stems)
+            trajectory, warnings = read_pose_file(loose, stamps_ns, stems)
+            if trajectory is not None and _covers(trajectory, stamps_ns):
+                return trajectory, warnings
     named = poses_by_frame(beside, stems)
     if named is None:
         return None, unread_poses(path)
-    matrices, file = named
-    trajectory, warnings = finite_trajectory(stamps_ns, matrices, str(file))
-    return trajectory, [taken_for_poses(file), *warnings]
+    matrices, files = named
+    trajectory, warnings = finite_trajectory(stamps_ns, matrices, str(files[0]))
+    if trajectory is None:
+        return None, [
+            f"{files[0]}: no matrix under the name of a frame is a pose of finite numbers",
+            *warnings,
+        ]
+    return trajectory, [taken_for_poses(files), *warnings]
+
+
+def _covers(trajectory: GivenTrajectory, stamps_ns: Sequence[int]) -> bool:
+    """Whether half of the frames are in the time of a trajectory of at least two poses."""
+    first, last = trajectory.stamps_ns[0], trajectory.stamps_ns[-1]
+    inside = sum(bool(first <= stamp_ns <= last) for stamp_ns in stamps_ns)
+    return bool(last > first) and inside >= LEAST_POSED * len(stamps_ns)
 
 
 def pose_file(path: Path, beside: Sequence[Path]) -> Path | None:
@@ -124,7 +143,13 @@ def read_pose_file(
         _check_count(file, len(rows), len(stems))
         return trajectory_from_matrices(stamps_ns, [_matrix(row, where) for where, row in rows], str(file))
     if lengths == {WITHOUT_STAMP}:
-        return _without_stamps(rows, stamps_ns, file)
+        _check_count(file, len(rows), len(stems))
+        matrices = [_without_stamps(row, where) for where, row in rows]
+        trajectory, warnings = finite_trajectory(stamps_ns, matrices, str(file))
+        return trajectory, [
+            f"{file}: its rows have no stamps: they are taken in the order of frames",
+            *warnings,
+        ]
     trajectory, warnings = read_trajectory_file(file)
     frames_ns = np.array(stamps_ns, np.int64)
     if not counts_frames(frames_ns) or len(rows) != len(stems):
@@ -170,16 +195,22 @@ def _check_count(file: Path, poses: int, frames: int) -> None:
         )
 
 
-def _without_stamps(
-    rows: Sequence[tuple[str, str]], stamps_ns: Sequence[int], file: Path
-) -> tuple[GivenTrajectory, list[str]]:
-    """Return the trajectory of rows `tx ty tz qx qy qz qw`, in the order of the frames, and warnings."""
-    _check_count(file, len(rows), len(stamps_ns))
-    timed = list[TimedPose]()
-    for stamp_ns, (where, row) in zip(stamps_ns, rows, strict=True):
-        numbers = parse_floats(row.translate(PUNCTUATION).split(), where)
-        timed.append(TimedPose(stamp_ns, tuple(numbers[:3]), tuple(numbers[3:]), where))
-    return trajectory_from_poses(timed, str(file))
+def _without_stamps(row: str, where: str) -> Float64 | None:
+    """Return the matrix (4, 4) of a row `tx ty tz qx qy qz qw`; None of a lost frame, NaN or all 0.
+
+    Raises:
+        RecordingError: its last four values are no unit quaternion, but angles, for example.
+    """
+    numbers = np.array(parse_floats(row.translate(PUNCTUATION).split(), where))
+    length = np.linalg.norm(numbers[3:])
+    if not np.isfinite(numbers).all() or length == 0:
+        return None
+    if abs(length - 1) > MOST_OFF_UNIT:
+        raise GivenPosesError(
+            f"{where}: its seven values are no 'tx ty tz qx qy qz qw': the last four are no unit quaternion; "
+            f"write them {TUM_ROWS}"
+        )
+    return rigid(rotation_from_quaternion_xyzw(numbers[None, 3:])[0], numbers[:3])
 
 
 def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float64 | None]:
@@ -221,50 +252,6 @@ def _of_rows(numbers: Sequence[float]) -> Float64:
     return np.array([*numbers, *last]).reshape(4, 4)
 
 
-def starts_like_a_log(file: Path) -> bool:
-    """Whether a file, after comments, starts like a log for `read_log`: a frame's number, then numbers."""
-    rows = read_head(file).decode("utf-8-sig", "replace").splitlines() if file.is_file() else []
-    first = next((words for row in rows if (words := row.partition("#")[0].split())), [])
-    return 0 < len(first) <= 3 and bool(FRAME_NUMBER.fullmatch(first[0])) and all(map(_is_number, first))
-
-
-def _is_number(word: str) -> bool:
-    with suppress(ValueError):
-        return math.isfinite(float(word))
-    return False
-
-
-def read_log(file: Path, frames: int) -> list[Float64]:
-    """Read a Redwood log; return each frame's camera to world (4, 4), NaN if it has none.
-
-    Args:
-        file: blocks of five rows: `i j k`, then a 4x4 matrix. Only i is used, the frame's index from 0.
-        frames: number of frames.
-
-    Raises:
-        RecordingError: a block is incomplete, or names no frame.
-    """
-    rows = text_rows(file)
-    if len(rows) % 5:
-        raise GivenPosesError(f"{file}: holds {len(rows)} rows, not a multiple of 5 ('i j k' and four rows)")
-    matrices = [np.full((4, 4), np.nan)] * frames
-    for start in range(0, len(rows), 5):
-        where, head = rows[start]
-        index = head.split()[0]
-        if not FRAME_NUMBER.fullmatch(index) or int(index) >= frames:
-            raise GivenPosesError(
-                f"{where}: '{printable(head)}' does not name one of the {frames} frames (0-{frames - 1})"
-            )
-        values = [
-            parse_floats(row.translate(PUNCTUATION).split(), row_where)
-            for row_where, row in rows[start + 1 : start + 5]
-        ]
-        if any(len(row) != 4 for row in values):
-            raise GivenPosesError(f"{where}: the four rows after it are not four numbers each")
-        matrices[int(index)] = np.array(values)
-    return matrices
-
-
 def pose_folder(path: Path) -> Path | None:
     """Return the recording's folder with one text or array per pose; None if there is no such folder."""
     folders = in_order(path, POSE_FOLDERS)
@@ -273,7 +260,13 @@ def pose_folder(path: Path) -> Path | None:
 
 def _pose_files(folder: Path) -> list[Path]:
     """Return a folder's texts, or its arrays if it has no texts."""
-    return visible(folder, "*.txt") or visible(folder, "*.npy")
+    texts, arrays = visible(folder, "*.txt"), visible(folder, "*.npy")
+    return texts or (arrays if arrays and _is_pose(arrays[0]) else [])
+
+
+def _is_pose(array: Path) -> bool:
+    """Whether an .npy file holds a 3x4 or 4x4 matrix; keypoints of a person are poses, too."""
+    return any(matrix.shape != (3, 3) for _, matrix in named_matrices(array))
 
 
 def read_pose_folder(

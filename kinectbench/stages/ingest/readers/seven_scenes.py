@@ -217,7 +217,10 @@ def _read_poses(
     poses = [_beside(file, "pose.txt") for file in depth]
     if not any(file.is_file() for file in poses):
         stems = [file.name.partition(".")[0] for file in depth]
-        return named_poses(path, visible(path, "*.json", "*.txt"), stamps_ns, stems)
+        given, warnings = named_poses(path, visible(path, "*.json", "*.txt"), stamps_ns, stems)
+        if given is not None:
+            given = replace(given, T_world_camera=given.T_world_camera @ T_rig_depth)
+        return given, warnings
     matrices = [read_pose_matrix(file, T_rig_depth) for file in poses]
     return trajectory_from_matrices(stamps_ns, matrices, str(path))
 

@@ -27,7 +27,7 @@ SHELL_VOXELS = 1.5
 # A line of sight ends within this many voxels of a measured surface, on both sides. If it ended in the whole
 # band behind the surface, every opening would narrow. It does not pass through a sheet of one voxel.
 SHEET_VOXELS = 1.2
-# So near to an underside over open space there is more of it: beside legs fewer level rays lead out.
+# Within this of an underside over open space, four level rays are enough: a leg stops the others.
 BESIDE_LEG_M = 0.05
 # Number of lines of sight: for the solid, and for solids that are only compared with one another.
 FINE: Final = 1600
@@ -156,8 +156,8 @@ def classify_voxels(
 ) -> VoxelEvidence:
     """Classify the voxels, and find the unseen voxels that a camera could see.
 
-    The grid is upright. `neighbours` are voxels near a neighbour's surface; unmeasured ones may be the object.
-    `beyond` are voxels outside a given box. If `roughly`, fewer lines of sight are tried: to compare solids.
+    The grid is upright. `neighbours` are voxels near a neighbour's surface; unmeasured ones may be of the
+    object. `beyond` are voxels outside a given box. If `roughly`, fewer lines are tried: to compare solids.
     """
     voxel_m, layers = observation.grid.voxel_size_m, rules.layers
     contact = slice(layers.below, layers.first)
@@ -212,8 +212,13 @@ def classify_voxels(
 def _through_underside(part: Bools, body: Bools, obstacle: Bools, rules: Rules, voxel_m: float) -> Bools:
     """Return which voxels of a part, seen only from below, are above open space (`over_open_space`)."""
     above_floor, over = np.s_[:, :, rules.layers.first :], np.zeros_like(part)
-    near = round(rules.limits.camera_size_m / voxel_m), round(BESIDE_LEG_M / voxel_m)
-    over[above_floor] = over_open_space(part[above_floor], body[above_floor], obstacle[above_floor], *near)
+    over[above_floor] = over_open_space(
+        part[above_floor],
+        body[above_floor],
+        obstacle[above_floor],
+        height=round(rules.limits.camera_size_m / voxel_m),
+        beside=round(BESIDE_LEG_M / voxel_m),
+    )
     return over
 
 
