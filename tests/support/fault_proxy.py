@@ -50,6 +50,8 @@ class FaultProxy:
             self._server.close()
             await asyncio.sleep(0)  # a connection that was just accepted starts a task of its own
             while tasks := asyncio.all_tasks() - {asyncio.current_task()}:
+                # A task that is cancelled while it connects would leave its socket open.
+                _, tasks = await asyncio.wait(tasks, timeout=1)
                 for task in tasks:
                     task.cancel()
                 await asyncio.gather(*tasks, return_exceptions=True)
@@ -101,12 +103,13 @@ class FaultProxy:
 
     async def _forward(self, first: str, lines: list[str], body: bytes) -> bytes:
         reader, writer = await asyncio.open_connection("127.0.0.1", self._upstream)
-        kept = [line for line in lines if not line.lower().startswith("connection:")]
-        writer.write("\r\n".join([first, *kept, "Connection: close", "", ""]).encode("latin-1") + body)
-        await writer.drain()
-        answer = await reader.read(-1)
-        writer.close()
-        return answer
+        try:
+            kept = [line for line in lines if not line.lower().startswith("connection:")]
+            writer.write("\r\n".join([first, *kept, "Connection: close", "", ""]).encode("latin-1") + body)
+            await writer.drain()
+            return await reader.read(-1)
+        finally:
+            writer.close()
 
 
 def for_a_while(seconds: float, fault: Fault = "503") -> Choose:
