@@ -90,7 +90,7 @@ def test_simulate_init_build_publish_score(command: Command, tmp_path: Path) -> 
     """The way of a newcomer, with nothing but commands."""
     for name in ("chair:seed=1", "table:seed=1"):
         path = tmp_path / "recordings" / name.split(":")[0]
-        simulate = ("simulate", str(path), "--object", name, "--frames", "8", *SMALL_IMAGES)
+        simulate = ("simulate", str(path), "--object", name, "--frames", "12", *SMALL_IMAGES)
         assert command(tmp_path, *simulate).status == 0
     found = command(tmp_path, "init", ".")
     assert found.status == 0 and "2 recordings" in found.out
