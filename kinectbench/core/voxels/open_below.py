@@ -13,8 +13,12 @@ from kinectbench.core.voxels.morphology import dilated, reached_from_beyond
 # Below an object on legs, this many of eight level rays lead out. Behind a door or a front, and under a desk
 # with a back and two sides, at most three do.
 OPEN_WAYS = 5
+# Between side panels that stand on the floor, this many lead out: a closed body lets none out down there.
+THROUGH_WAYS = 2
 # Beside a leg of an object, one fewer of them leads out.
 WAYS_BESIDE_LEG = 4
+# What is straight below an unseen part: open space, a room inside the object, or the object.
+OVER_OPEN, OVER_ROOM, OVER_BODY = 1, 2, 3
 # Within this distance of a camera position there is one whose ways out no leg blocks: legs are thinner.
 BESIDE_M = 0.3
 
@@ -47,9 +51,9 @@ def over_open_space(part: Bools, body: Bools, obstacle: Bools, height: int, besi
     """Return which voxels of a part have open space below the object under them, not a room inside of it.
 
     Space is open where `OPEN_WAYS` of eight level rays lead out of the grid. Straight below the part, and not
-    below the body, that must be so from a voxel down to the bottom layer, or over the height of a camera: not
-    only at the height of a slot in the sides. Where the part itself reaches down to the bottom layer, cameras
-    look in through a side.
+    below the body, that must be so over the height of a camera, not only over that of a slot in the sides; or
+    `THROUGH_WAYS` rays lead out from a voxel down to the bottom layer, as between side panels. Where the part
+    itself reaches down to the bottom layer, cameras look in through a side.
 
     Args:
         part: bool (nx, ny, nz), its last axis up, its bottom layer that above the floor; unseen voxels that
@@ -62,8 +66,25 @@ def over_open_space(part: Bools, body: Bools, obstacle: Bools, height: int, besi
     state = np.where(obstacle, np.uint8(BLOCKED), np.uint8(PASSABLE))
     asked = ~(part | body) & np.logical_or.accumulate(part[:, :, ::-1], axis=2)[:, :, ::-1]
     ways = _level_ways_out(state, asked)
-    near = dilated(_over_open(part, body, ways, height, OPEN_WAYS), (beside, beside, 0))
-    return np.asarray(near & _over_open(part, body, ways, height, WAYS_BESIDE_LEG))
+    over = _over_open(part, body, ways, height, OPEN_WAYS)
+    near = dilated(over == OVER_OPEN, (beside, beside, 0)) & (
+        _over_open(part, body, ways, height, WAYS_BESIDE_LEG) == OVER_OPEN
+    )
+    return np.asarray(near | _as_most_beside(near, over == OVER_ROOM, over == OVER_BODY))
+
+
+def _as_most_beside(over_open: Bools, over_room: Bools, over_body: Bools) -> Bools:
+    """Return the voxels `over_body` of connected parts that are over open space more than over rooms.
+
+    The lower edge of a body is measured: its inside right above that is as open below as what is beside it.
+    """
+    from scipy import ndimage
+
+    pieces, count = ndimage.label(over_open | over_room | over_body)
+    opened, rooms = (
+        np.bincount(pieces[each], minlength=count + 1) for each in (over_open, over_room & ~over_open)
+    )
+    return np.asarray(over_body & (opened > rooms)[pieces])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -112,23 +133,27 @@ def _open_below(state, open_here):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _over_open(part, body, ways, height, least):  # type: ignore[no-untyped-def]
-    """Return the voxels of a part under which at least `least` of the level rays lead out (`ways`)."""
+    """Return for each voxel of a part what is straight below it: OVER_OPEN and so on; 0 elsewhere.
+
+    `ways` is the number of level rays that lead out; `least` of them make space open.
+    """
     nx, ny, nz = part.shape
-    over = np.zeros(part.shape, np.bool_)
+    over = np.zeros(part.shape, np.uint8)
     for i in range(nx):
         for j in range(ny):
-            # Whether space below is open, and so many voxels of it, also from here down.
-            is_open, high, low = False, 0, True
+            # What is below, and so many voxels of open space, also from the bottom layer up.
+            below, high, low = OVER_ROOM, 0, True
             for k in range(nz):
                 if part[i, j, k]:
-                    over[i, j, k] = is_open
+                    over[i, j, k] = below
                     high, low = 0, False
-                    continue
-                if k == 0 or body[i, j, k] or part[i, j, k - 1]:
-                    is_open, high, low = False, 0, k == 0
-                if not body[i, j, k] and ways[i, j, k] >= least:
-                    high += 1
-                    is_open |= low or high >= height
+                elif body[i, j, k]:
+                    below, high, low = OVER_BODY, 0, False
                 else:
-                    high, low = 0, False
+                    if k == 0 or body[i, j, k - 1] or part[i, j, k - 1]:
+                        below, high = OVER_ROOM, 0
+                    low &= ways[i, j, k] >= THROUGH_WAYS
+                    high = high + 1 if ways[i, j, k] >= least else 0
+                    if low or high >= height:
+                        below = OVER_OPEN
     return over

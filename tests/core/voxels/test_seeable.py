@@ -24,6 +24,7 @@ from kinectbench.core.voxels.lines_of_sight import directions, seen_along
 from kinectbench.core.voxels.morphology import reached_from_beyond
 from kinectbench.core.voxels.open_below import (
     OPEN_WAYS,
+    THROUGH_WAYS,
     WAYS_BESIDE_LEG,
     _level_ways_out,
     over_open_space,
@@ -301,9 +302,9 @@ def test_what_is_over_open_space(seed: int) -> None:
     rng = np.random.default_rng(seed)
     kind = rng.choice(4, (7, 8, 9), p=[0.6, 0.25, 0.1, 0.05])
     part, body, obstacle = kind == 1, kind == 2, kind == 3
-    ways, expected = level_ways(obstacle, ~part), {}
+    ways, below = level_ways(obstacle, ~part), {}
     for least in (OPEN_WAYS, WAYS_BESIDE_LEG):
-        expected[least] = np.zeros_like(part)
+        below[least] = np.zeros(part.shape, int)
         for i, j, k in np.argwhere(part):
             bottom = k
             while bottom and part[i, j, bottom - 1]:
@@ -312,11 +313,20 @@ def test_what_is_over_open_space(seed: int) -> None:
             while first and not (part | body)[i, j, first - 1]:
                 first -= 1
             gap = "".join("o" if each >= least else "." for each in ways[i, j, first:bottom])
-            expected[least][i, j, k] = "oo" in gap or (first == 0 and gap.startswith("o"))
+            passes = first == 0 < bottom and ways[i, j, 0] >= THROUGH_WAYS
+            over_body = bottom > 0 and body[i, j, bottom - 1]
+            below[least][i, j, k] = 3 if over_body else 1 if "oo" in gap or passes else 2
     for beside in (0, 1):
-        near = ndimage.binary_dilation(expected[OPEN_WAYS], np.ones((2 * beside + 1, 2 * beside + 1, 1)))
-        found = over_open_space(part, body, obstacle, 2, beside)
-        assert (found == (near & expected[WAYS_BESIDE_LEG])).all()
+        square = np.ones((2 * beside + 1, 2 * beside + 1, 1))
+        near = ndimage.binary_dilation(below[OPEN_WAYS] == 1, square) & (below[WAYS_BESIDE_LEG] == 1)
+        rooms, bodies = (below[OPEN_WAYS] == 2) & ~near, below[OPEN_WAYS] == 3
+        pieces, count = ndimage.label(near | rooms | bodies)
+        expected = near.copy()
+        for piece in range(1, count + 1):
+            of = pieces == piece
+            if (near & of).sum() > (rooms & of).sum():
+                expected |= bodies & of
+        assert (over_open_space(part, body, obstacle, 2, beside) == expected).all()
 
 
 @pytest.mark.parametrize("seed", range(5))
