@@ -17,8 +17,8 @@ OPEN_WAYS = 5
 THROUGH_WAYS = 2
 # Beside a leg of an object, one fewer of them leads out.
 WAYS_BESIDE_LEG = 4
-# What is straight below an unseen part: open space, a room inside the object, or the object.
-OVER_OPEN, OVER_ROOM, OVER_BODY = 1, 2, 3
+# What is straight below an unseen part: open space, a room inside the object that was seen, or none of these.
+OVER_OPEN, OVER_ROOM, UNDECIDED = 1, 2, 3
 # Within this distance of a camera position there is one whose ways out no leg blocks: legs are thinner.
 BESIDE_M = 0.3
 
@@ -47,44 +47,39 @@ def without_rising(space: Space, empty: Bools) -> Space:
     return replace(space, state=np.where(place & ~reached, np.uint8(PASSABLE), space.state))
 
 
-def over_open_space(part: Bools, body: Bools, obstacle: Bools, height: int, beside: int) -> Bools:
+def over_open_space(
+    part: Bools, body: Bools, free: Bools, obstacle: Bools, *, height: int, beside: int
+) -> Bools:
     """Return which voxels of a part have open space below the object under them, not a room inside of it.
 
     Space is open where `OPEN_WAYS` of eight level rays lead out of the grid. Straight below the part, and not
     below the body, that must be so over the height of a camera, not only over that of a slot in the sides; or
     `THROUGH_WAYS` rays lead out from a voxel down to the bottom layer, as between side panels. Where the part
-    itself reaches down to the bottom layer, cameras look in through a side.
+    itself reaches down to the bottom layer, cameras look in through a side. Above the body and unseen voxels
+    that decides which is so for more of the connected voxels: the lower edge of a body is measured.
 
     Args:
         part: bool (nx, ny, nz), its last axis up, its bottom layer that above the floor; unseen voxels that
             cameras see only from below.
         body: bool of the same shape, voxels of the object.
+        free: bool of the same shape, voxels seen to be empty.
         obstacle: bool of the same shape, voxels that level rays do not cross.
         height: of a camera, in voxels.
         beside: within so many voxels of one over open space, `WAYS_BESIDE_LEG` rays are enough.
     """
+    from scipy import ndimage
+
     state = np.where(obstacle, np.uint8(BLOCKED), np.uint8(PASSABLE))
     asked = ~(part | body) & np.logical_or.accumulate(part[:, :, ::-1], axis=2)[:, :, ::-1]
     ways = _level_ways_out(state, asked)
-    over = _over_open(part, body, ways, height, OPEN_WAYS)
-    near = dilated(over == OVER_OPEN, (beside, beside, 0)) & (
-        _over_open(part, body, ways, height, WAYS_BESIDE_LEG) == OVER_OPEN
-    )
-    return np.asarray(near | _as_most_beside(near, over == OVER_ROOM, over == OVER_BODY))
-
-
-def _as_most_beside(over_open: Bools, over_room: Bools, over_body: Bools) -> Bools:
-    """Return the voxels `over_body` of connected parts that are over open space more than over rooms.
-
-    The lower edge of a body is measured: its inside right above that is as open below as what is beside it.
-    """
-    from scipy import ndimage
-
-    pieces, count = ndimage.label(over_open | over_room | over_body)
+    over = _over_open(part, body, free, ways, height, OPEN_WAYS)
+    at_legs = _over_open(part, body, free, ways, height, WAYS_BESIDE_LEG) == OVER_OPEN
+    over[at_legs & dilated(over == OVER_OPEN, (beside, beside, 0))] = OVER_OPEN
+    pieces, count = ndimage.label(part)
     opened, rooms = (
-        np.bincount(pieces[each], minlength=count + 1) for each in (over_open, over_room & ~over_open)
+        np.bincount(pieces[over == kind], minlength=count + 1) for kind in (OVER_OPEN, OVER_ROOM)
     )
-    return np.asarray(over_body & (opened > rooms)[pieces])
+    return np.asarray((over == OVER_OPEN) | ((over == UNDECIDED) & (opened > rooms)[pieces]))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -132,7 +127,7 @@ def _open_below(state, open_here):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _over_open(part, body, ways, height, least):  # type: ignore[no-untyped-def]
+def _over_open(part, body, free, ways, height, least):  # type: ignore[no-untyped-def]
     """Return for each voxel of a part what is straight below it: OVER_OPEN and so on; 0 elsewhere.
 
     `ways` is the number of level rays that lead out; `least` of them make space open.
@@ -141,19 +136,22 @@ def _over_open(part, body, ways, height, least):  # type: ignore[no-untyped-def]
     over = np.zeros(part.shape, np.uint8)
     for i in range(nx):
         for j in range(ny):
-            # What is below, and so many voxels of open space, also from the bottom layer up.
+            # What is below, and how many voxels of open space; whether it is open from the bottom layer up.
             below, high, low = OVER_ROOM, 0, True
             for k in range(nz):
                 if part[i, j, k]:
                     over[i, j, k] = below
                     high, low = 0, False
-                elif body[i, j, k]:
-                    below, high, low = OVER_BODY, 0, False
-                else:
-                    if k == 0 or body[i, j, k - 1] or part[i, j, k - 1]:
-                        below, high = OVER_ROOM, 0
-                    low &= ways[i, j, k] >= THROUGH_WAYS
-                    high = high + 1 if ways[i, j, k] >= least else 0
-                    if low or high >= height:
-                        below = OVER_OPEN
+                    continue
+                if k == 0 or body[i, j, k - 1] or part[i, j, k - 1]:
+                    below, high = UNDECIDED, 0
+                if body[i, j, k]:
+                    below, high, low = UNDECIDED, 0, False
+                    continue
+                low &= ways[i, j, k] >= THROUGH_WAYS
+                high = high + 1 if ways[i, j, k] >= least else 0
+                if low or high >= height:
+                    below = OVER_OPEN
+                elif free[i, j, k] and below == UNDECIDED:
+                    below = OVER_ROOM
     return over

@@ -24,7 +24,10 @@ from kinectbench.core.voxels.lines_of_sight import directions, seen_along
 from kinectbench.core.voxels.morphology import reached_from_beyond
 from kinectbench.core.voxels.open_below import (
     OPEN_WAYS,
+    OVER_OPEN,
+    OVER_ROOM,
     THROUGH_WAYS,
+    UNDECIDED,
     WAYS_BESIDE_LEG,
     _level_ways_out,
     over_open_space,
@@ -300,8 +303,8 @@ def level_ways(blocked: Bools, place: Bools) -> NDArray[np.int64]:
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_over_open_space(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    kind = rng.choice(4, (7, 8, 9), p=[0.6, 0.25, 0.1, 0.05])
-    part, body, obstacle = kind == 1, kind == 2, kind == 3
+    kind = rng.choice(5, (7, 8, 9), p=[0.3, 0.25, 0.1, 0.05, 0.3])
+    part, body, obstacle, free = (kind == n for n in (1, 2, 3, 4))
     ways, below = level_ways(obstacle, ~part), {}
     for least in (OPEN_WAYS, WAYS_BESIDE_LEG):
         below[least] = np.zeros(part.shape, int)
@@ -314,19 +317,20 @@ def test_what_is_over_open_space(seed: int) -> None:
                 first -= 1
             gap = "".join("o" if each >= least else "." for each in ways[i, j, first:bottom])
             passes = first == 0 < bottom and ways[i, j, 0] >= THROUGH_WAYS
-            over_body = bottom > 0 and body[i, j, bottom - 1]
-            below[least][i, j, k] = 3 if over_body else 1 if "oo" in gap or passes else 2
+            room = bottom == 0 or free[i, j, first:bottom].any()
+            below[least][i, j, k] = OVER_OPEN if "oo" in gap or passes else OVER_ROOM if room else UNDECIDED
+    pieces, count = ndimage.label(part)
     for beside in (0, 1):
         square = np.ones((2 * beside + 1, 2 * beside + 1, 1))
-        near = ndimage.binary_dilation(below[OPEN_WAYS] == 1, square) & (below[WAYS_BESIDE_LEG] == 1)
-        rooms, bodies = (below[OPEN_WAYS] == 2) & ~near, below[OPEN_WAYS] == 3
-        pieces, count = ndimage.label(near | rooms | bodies)
-        expected = near.copy()
+        at_legs = ndimage.binary_dilation(below[OPEN_WAYS] == OVER_OPEN, square)
+        over = np.where(at_legs & (below[WAYS_BESIDE_LEG] == OVER_OPEN), OVER_OPEN, below[OPEN_WAYS])
+        expected = over == OVER_OPEN
         for piece in range(1, count + 1):
             of = pieces == piece
-            if (near & of).sum() > (rooms & of).sum():
-                expected |= bodies & of
-        assert (over_open_space(part, body, obstacle, 2, beside) == expected).all()
+            if (over[of] == OVER_OPEN).sum() > (over[of] == OVER_ROOM).sum():
+                expected |= of & (over == UNDECIDED)
+        found = over_open_space(part, body, free, obstacle, height=2, beside=beside)
+        assert (found == expected).all() and expected.any()
 
 
 @pytest.mark.parametrize("seed", range(5))

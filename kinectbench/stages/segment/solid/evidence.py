@@ -181,7 +181,7 @@ def classify_voxels(
     unseen[:, :, : layers.below] = False
     closed = unseen & (sight.any_way == 0)
     underside = unseen & sight.only_from_below
-    underside &= _through_underside(underside, near_surface | closed, surface, rules, voxel_m)
+    underside &= _through_underside(underside, near_surface | closed, free, surface, rules, voxel_m)
     # In contact with the floor nothing is measured: these layers follow the layer above them.
     of_object, unseen_there = near_surface[:, :, layers.first], unseen[:, :, layers.first]
     solid = of_object | closed[:, :, layers.first]
@@ -209,13 +209,13 @@ def classify_voxels(
     )
 
 
-def _through_underside(part: Bools, body: Bools, obstacle: Bools, rules: Rules, voxel_m: float) -> Bools:
+def _through_underside(
+    part: Bools, body: Bools, free: Bools, obstacle: Bools, rules: Rules, voxel_m: float
+) -> Bools:
     """Return which voxels of a part, seen only from below, are above open space (`over_open_space`)."""
     above_floor, over = np.s_[:, :, rules.layers.first :], np.zeros_like(part)
     over[above_floor] = over_open_space(
-        part[above_floor],
-        body[above_floor],
-        obstacle[above_floor],
+        *(each[above_floor] for each in (part, body, free, obstacle)),
         height=round(rules.limits.camera_size_m / voxel_m),
         beside=round(BESIDE_LEG_M / voxel_m),
     )
