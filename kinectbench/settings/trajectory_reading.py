@@ -9,7 +9,11 @@ from kinectbench.settings.base import Settings
 
 
 class TrajectoryReading(Settings):
-    """How given poses are stored, if not as camera to world, in metres, with z ahead and y down."""
+    """How given poses are stored, if not as camera to world, in metres, with z ahead and y down.
+
+    It is applied to the depth camera's poses: where a file gives those of another camera, the reader has
+    moved them before.
+    """
 
     inverse: bool = Field(False, description="whether they map the world to the camera")
     axes: Literal["optical", "opengl", "robot"] = Field(
