@@ -38,7 +38,8 @@ def full() -> Job:
     """A recording whose sections are all given, so that their fields can be walked."""
     box = {"center_m": [0, 0, 0.5], "size_m": [1, 1, 1], "anchor_frame": 3}
     pose = {"anchor_pose": [0, 0, 1, 0, 0, 0, 1]}
-    return job(camera={"fx": 500.0}, box=box | pose, pick={"frame": 3, "pixel": [80, 60]})
+    camera = {"fx": 500.0, "trajectory_reading": {"axes": "opengl"}}
+    return job(camera=camera, box=box | pose, pick={"frame": 3, "pixel": [80, 60]})
 
 
 def leaves(value: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -58,7 +59,7 @@ def others(value: Any) -> tuple[Any, ...]:
         return (value + 1, value - 1, value + 0.01, value - 0.01)
     if isinstance(value, list):
         return tuple([number + step for number in value] for step in (0.1, 1))
-    words = ("majority", "view", "coverage", "refine", "closed", "x")
+    words = ("majority", "view", "coverage", "refine", "closed", "robot", "x")
     return words if isinstance(value, str) else FILLED
 
 
