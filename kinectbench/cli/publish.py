@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinectbench.cli import console
-from kinectbench.cli.build import (
-    build_recordings,
-    chosen_jobs,
-    exit_status,
-    need_some,
-)
+from kinectbench.cli.build import build_recordings, chosen_jobs, exit_status, need_some
 from kinectbench.cli.build_warnings import tell_unknown_categories, tell_warnings
 from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
 from kinectbench.cli.progress_bars import progress_bar

@@ -7,12 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.even_choice import evenly
-from kinectbench.core.geometry import (
-    Camera,
-    depth_sigma_m,
-    image_normals,
-    invert_rigid,
-)
+from kinectbench.core.geometry import Camera, depth_sigma_m, image_normals, invert_rigid
 from kinectbench.core.trajectory.coverage import in_order_of_time
 from kinectbench.core.trajectory.pose_convention import AXES, PoseConvention
 from kinectbench.core.types import Float64

@@ -25,12 +25,7 @@ from kinectbench.scoring.predictions import check_method, missing_line
 from kinectbench.scoring.request import check_missing, check_words
 from kinectbench.scoring.rounds import pairs_to_score
 from kinectbench.scoring.shards import decode_sample as decode_sample
-from kinectbench.scoring.thresholds import (
-    STEPS_IN_WORDS,
-    Thresholds,
-    searched_thresholds,
-    thresholds_for,
-)
+from kinectbench.scoring.thresholds import STEPS_IN_WORDS, Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_packed_truth
 
 

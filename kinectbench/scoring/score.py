@@ -19,19 +19,9 @@ from kinectbench.scoring.baselines.recognized import is_of_baseline, made_table
 from kinectbench.scoring.camera.score_camera_method import left_out_table, score_in_camera
 from kinectbench.scoring.camera.score_grid_view import score_grid_in_space
 from kinectbench.scoring.caveats import marks_of
-from kinectbench.scoring.method_json import (
-    changed_files,
-    changed_line,
-    method_lines,
-    read_in_camera,
-)
+from kinectbench.scoring.method_json import changed_files, changed_line, method_lines, read_in_camera
 from kinectbench.scoring.pair_result import Journal, counting_of
-from kinectbench.scoring.predictions import (
-    check_method,
-    find_predictions,
-    split_methods,
-    strays_of,
-)
+from kinectbench.scoring.predictions import check_method, find_predictions, split_methods, strays_of
 from kinectbench.scoring.protocols import protocols_in_space, space_alone, unfit
 from kinectbench.scoring.request import Request, check_declared, check_missing, check_request
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan

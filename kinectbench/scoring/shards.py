@@ -18,14 +18,7 @@ from kinectbench.core.voxels.pair_file import (
     pair_keys,
     pair_parts,
 )
-from kinectbench.scoring.dataset import (
-    IMAGES,
-    TARGET_KEYS,
-    Item,
-    checked_keys,
-    item_of,
-    wanted_parts,
-)
+from kinectbench.scoring.dataset import IMAGES, TARGET_KEYS, Item, checked_keys, item_of, wanted_parts
 
 NPZ, JSON, NPY = "npz", "json", ".npy"
 

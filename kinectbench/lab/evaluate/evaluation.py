@@ -22,12 +22,7 @@ from kinectbench.lab.evaluate.measured import measured_surface
 from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures, mask_figures, pair_figures
 from kinectbench.lab.evaluate.refined import RefinedFigures, refined_figures
 from kinectbench.lab.evaluate.solid import SolidFigures, check_fills_cells, solid_figures
-from kinectbench.lab.evaluate.surface import (
-    SurfaceFigures,
-    errors_at_object,
-    surface_errors,
-    surface_figures,
-)
+from kinectbench.lab.evaluate.surface import SurfaceFigures, errors_at_object, surface_errors, surface_figures
 from kinectbench.lab.simulate.truth import Truth
 from kinectbench.stages.segment.find.floor import Floor
 

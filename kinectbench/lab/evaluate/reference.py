@@ -9,12 +9,7 @@ from kinectbench.core import RecordingError, StorageError, replaced_file, sha256
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.artefacts.reference import (
-    ComparedMesh,
-    DirectionPart,
-    DirectionsPart,
-    ReferenceFile,
-)
+from kinectbench.core.artefacts.reference import ComparedMesh, DirectionPart, DirectionsPart, ReferenceFile
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.known_cells import known_in

@@ -9,12 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from kinectbench.core.artefacts.object import with_interval
-from kinectbench.lab.evaluate.evaluation import (
-    AlignmentFigures,
-    Evaluation,
-    FloorFigures,
-    TrajectoryFigures,
-)
+from kinectbench.lab.evaluate.evaluation import AlignmentFigures, Evaluation, FloorFigures, TrajectoryFigures
 from kinectbench.lab.evaluate.measured import FaceBias
 from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures
 from kinectbench.lab.evaluate.refined import RefinedFigures

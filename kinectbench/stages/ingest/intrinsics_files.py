@@ -27,10 +27,7 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_json,
     read_intrinsics_matrix,
 )
-from kinectbench.stages.ingest.intrinsics_words import (
-    intrinsics_in_words,
-    intrinsics_in_xml,
-)
+from kinectbench.stages.ingest.intrinsics_words import intrinsics_in_words, intrinsics_in_xml
 from kinectbench.stages.ingest.intrinsics_yaml import intrinsics_in_yaml
 from kinectbench.stages.ingest.json_values import read_json_object
 from kinectbench.stages.ingest.known_names import (

@@ -16,12 +16,7 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings
 from kinectbench.settings.pick import PICK_FILE
-from kinectbench.stages.ingest.depth_codes import (
-    ROTATED_SCALES,
-    SAMPLED_IMAGES,
-    Pattern,
-    find_pattern,
-)
+from kinectbench.stages.ingest.depth_codes import ROTATED_SCALES, SAMPLED_IMAGES, Pattern, find_pattern
 from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError, decode_depth_png
 from kinectbench.stages.ingest.known_names import misnamed, visible
 from kinectbench.stages.ingest.readers.color_only import without_depth

@@ -9,13 +9,7 @@ from pathlib import Path
 
 from kinectbench.core import listed as names_of
 from kinectbench.core import printable, read_head, scanned
-from kinectbench.stages.ingest.depth_files import (
-    ARRAYS,
-    READ_EXR,
-    SUFFIXES,
-    depth_size_px,
-    shapes_of_arrays,
-)
+from kinectbench.stages.ingest.depth_files import ARRAYS, READ_EXR, SUFFIXES, depth_size_px, shapes_of_arrays
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.ingest.readers.folder_images import LEAST_IMAGES, LEAST_SIDE_PX, is_named_depth
 from kinectbench.stages.ingest.recording import read_image_file

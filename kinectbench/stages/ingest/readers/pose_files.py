@@ -12,10 +12,7 @@ from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
 from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_numbers, text_rows
-from kinectbench.core.trajectory.trajectory_file import (
-    read_trajectory_file,
-    trajectory_from_matrices,
-)
+from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER, frame_numbers
 from kinectbench.stages.ingest.intrinsics_files import names_like
