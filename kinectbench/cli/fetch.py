@@ -208,5 +208,5 @@ def _rebuild(
         console.lines("note", plan.notes, "yellow")
         root = work or stack.enter_context(scratch_folder())
         chosen = [Job(plan.settings, recording, root) for recording in plan.settings.recordings]
-        build_jobs(chosen, "pairs", processes)
+        build_jobs(chosen, "pairs", Common(jobs=processes))
         return list(differences(contents, plan, root / "build"))

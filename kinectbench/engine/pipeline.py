@@ -252,11 +252,11 @@ def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
     for stage in stages_upto(upto):
         manifest = whole_manifest(job.build / stage.folder)
         if manifest is not None and manifest.stage_version == stage.version:
-            changed |= _differences(manifest.settings, stage.settings(job))
+            changed |= differing_settings(manifest.settings, stage.settings(job))
     return changed
 
 
-def _differences(
+def differing_settings(
     then: Mapping[str, object], now: Mapping[str, object], above: str = ""
 ) -> dict[str, tuple[object, object]]:
     """Return settings that differ: {`above` + dotted key: (then, now)}; a missing value is "default"."""
@@ -264,7 +264,7 @@ def _differences(
     for key in {**then, **now}:
         old, new = then.get(key, "default"), now.get(key, "default")
         if isinstance(old, Mapping) and isinstance(new, Mapping):
-            found |= _differences(old, new, f"{above}{key}.")
+            found |= differing_settings(old, new, f"{above}{key}.")
         elif old != new:
             found[f"{above}{key}"] = (old, new)
     return found
