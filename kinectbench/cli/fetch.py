@@ -143,8 +143,7 @@ def verify_command(
         typer.Option(min=1, help="with --rebuild: so many objects, drawn by its hash; default: all"),
     ] = None,
     checksums: Annotated[
-        bool,
-        typer.Option("--checksums", help="the bytes alone: every file is the published one"),
+        bool, typer.Option("--checksums", help="the bytes alone: every file is the published one")
     ] = False,
     work: Annotated[
         Path | None, typer.Option(help="with --rebuild: build here and keep it; default: a temporary folder")

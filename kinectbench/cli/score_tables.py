@@ -128,10 +128,7 @@ def _as_stated(standing: str) -> str:
 
 
 def _add_published(
-    table: "WideTable",
-    protocols: Sequence[str],
-    columns: Sequence[str],
-    published: Sequence[PublishedTable],
+    table: "WideTable", protocols: Sequence[str], columns: Sequence[str], published: Sequence[PublishedTable]
 ) -> None:
     """Add rows with the results printed in the paper, and a note that other rows are not comparable.
 

@@ -26,12 +26,7 @@ class WideTable(Table):
     """
 
     def __init__(
-        self,
-        *,
-        keep: int = 1,
-        title: str | None = None,
-        caption: str | None = None,
-        whole: bool = False,
+        self, *, keep: int = 1, title: str | None = None, caption: str | None = None, whole: bool = False
     ) -> None:
         """Make an empty table.
 

@@ -16,13 +16,7 @@ from kinectbench.engine.executor import Executor, Pool, SendMessage, SerialExecu
 from kinectbench.engine.pipeline import Outcome
 from kinectbench.engine.scratch import clear_scratch
 from kinectbench.engine.stages import Job
-from kinectbench.engine.status import (
-    builder_of,
-    clear_away,
-    for_elsewhere,
-    keep_killed,
-    waits_for_others,
-)
+from kinectbench.engine.status import builder_of, clear_away, for_elsewhere, keep_killed, waits_for_others
 from kinectbench.engine.time_limit import watched
 
 # Most threads of one recording; each thread holds a pair in memory. Peak of `pairs` on 92 frames of a phone:

@@ -299,11 +299,7 @@ def _artefact(
 
 
 def _make(
-    job: Job,
-    stage: Stage,
-    sources: Mapping[str, Source],
-    artefact: Artefact,
-    report: NamedProgress,
+    job: Job, stage: Stage, sources: Mapping[str, Source], artefact: Artefact, report: NamedProgress
 ) -> None:
     """Run a stage and write its artefact. The stage gets only inputs that are in its fingerprint."""
     from kinectbench.engine.steps import OVERTAKEN, STEPS

@@ -191,10 +191,7 @@ def _deterministic(device: str) -> Iterator[None]:
 
 
 def _run(
-    training: Training,
-    minutes: float | None,
-    progress: Progress,
-    watch: Callable[[TrainingRow], None] | None,
+    training: Training, minutes: float | None, progress: Progress, watch: Callable[[TrainingRow], None] | None
 ) -> None:
     """Train until all steps are done or the time is over, and save the progress.
 

@@ -168,8 +168,7 @@ def _category(
 
 
 def overall_averages(
-    by_category: Mapping[str, Mapping[str, CategoryAverages]],
-    means: Mapping[str, Mapping[str, ObjectMeans]],
+    by_category: Mapping[str, Mapping[str, CategoryAverages]], means: Mapping[str, Mapping[str, ObjectMeans]]
 ) -> dict[str, OverallAverages]:
     """Return {heading: mean over the counted categories, its intervals, numbers of pairs and objects}.
 

@@ -274,8 +274,7 @@ def _differences(
             verdict = "no difference shown" if smallest <= ALPHA else "too few objects to tell"
         differences.append(
             Difference(
-                *(names[a], names[b], scope, mean, intervals[n]),
-                *(raw[n], p, corrected, smallest, verdict),
+                *(names[a], names[b], scope, mean, intervals[n]), *(raw[n], p, corrected, smallest, verdict)
             )
         )
     return differences

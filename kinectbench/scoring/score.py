@@ -32,12 +32,7 @@ NOT_FROM_VALIDATION = "the thresholds are not from validation; predict it too"
 
 
 def score(
-    release: Release,
-    predictions: Path,
-    *,
-    method: str,
-    resume_in: Path | None = None,
-    **options: Any,
+    release: Release, predictions: Path, *, method: str, resume_in: Path | None = None, **options: Any
 ) -> ScoreTable:
     """Score the test split; predictions of the validation split serve only to choose the thresholds.
 
@@ -89,12 +84,7 @@ def _counted_table(
     return made_table(release, make, how, rounds.counting, jobs)
 
 
-def _with_warnings(
-    table: ScoreTable,
-    predictions: Path,
-    asked: Plan,
-    release: Release,
-) -> ScoreTable:
+def _with_warnings(table: ScoreTable, predictions: Path, asked: Plan, release: Release) -> ScoreTable:
     """Add warnings about method.json and the folder to a table, and the run's hash if method.json has it."""
     method = asked.found.method
     more = (
@@ -135,12 +125,7 @@ def _rounds(release: Release, request: Request, journal: Journal) -> Rounds:
 
 
 def score_methods(
-    release: Release,
-    predictions: Path,
-    out: Path,
-    *,
-    method: str | None = None,
-    **options: Any,
+    release: Release, predictions: Path, out: Path, *, method: str | None = None, **options: Any
 ) -> list[ScoreTable]:
     """Score every method in a folder; write `out/scores.json`, or `out/<method>/scores.json` of several.
 
@@ -213,13 +198,7 @@ def _written(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> Scor
 
 
 def count_methods(
-    release: Release,
-    predictions: Path,
-    out: Path,
-    shard: Shard,
-    *,
-    method: str | None = None,
-    **options: Any,
+    release: Release, predictions: Path, out: Path, shard: Shard, *, method: str | None = None, **options: Any
 ) -> int:
     """Count one part of the pairs; a later `score_methods` uses the counts in `out`.
 
@@ -273,10 +252,7 @@ def _freeze(release: Release, table: ScoreTable, path: Path | None) -> None:
     # Without `objects` the file says that they are unknown, as for the method's own thresholds.
     objects = {} if table.threshold_objects is None else {"objects": table.threshold_objects}
     frozen = ThresholdsFile(
-        thresholds=table.thresholds,
-        method=table.method,
-        benchmark_sha256=release.benchmark_sha256,
-        **objects,
+        thresholds=table.thresholds, method=table.method, benchmark_sha256=release.benchmark_sha256, **objects
     )
     with replaced_file(path) as temporary:
         temporary.write_text(frozen.text(), encoding="utf-8")

@@ -186,10 +186,7 @@ class FrontierPart(StoredPart):
     volume_m3: NotNegative = Field(description="volume of the unseen region behind it, cubic metres")
     inside_share: Share = Field(description="share of that volume expected inside the object")
     solid_share: Share = Field(description="share of that volume that the solid fills")
-    underside: bool | None = Field(
-        None,
-        description="whether the region can be seen only from below",
-    )
+    underside: bool | None = Field(None, description="whether the region can be seen only from below")
 
 
 class ReferenceTruth(StoredPart):
@@ -246,8 +243,7 @@ class QualityFile(Stored):
         None, description="`underside` in benchmark.yaml: a person's statement, not measured"
     )
     underside_share: Share | None = Field(
-        None,
-        description="unseen share of the solid that cameras could see only from below",
+        None, description="unseen share of the solid that cameras could see only from below"
     )
     volume_m3: NotNegative | None = Field(None, description="volume of the solid, cubic metres")
     labels: LabelCounts | None = Field(None, description="voxels of each label")
@@ -268,8 +264,7 @@ class QualityFile(Stored):
         "of it lies clear of the floor",
     )
     inverse_depth_steps: NotNegative | None = Field(
-        None,
-        description="steps of inverse depth, 1/m: 346 of a Kinect v1; else estimates allow for a bias",
+        None, description="steps of inverse depth, 1/m: 346 of a Kinect v1; else estimates allow for a bias"
     )
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
     source: str | None = Field(None, description="synthesised: source mesh")

@@ -48,8 +48,7 @@ class CameraFile(Stored):
     )
     trajectory_error: str = Field(default="", description='Why the given trajectory is not used, or "".')
     depth_sketch: tuple[str, ...] = Field(
-        default=(),
-        description="The 1024 smallest digests (BLAKE2b) of depth images, in millimetres.",
+        default=(), description="The 1024 smallest digests (BLAKE2b) of depth images, in millimetres."
     )
     up_world: tuple[float, float, float] | None = Field(
         default=None,

@@ -18,8 +18,7 @@ class AirMethod(StoredPart):
         "unknown"
     )
     narrowed_voxels: float = Field(
-        0.0,
-        description="by how many voxels the camera is made smaller, as gaps are measured too narrow",
+        0.0, description="by how many voxels the camera is made smaller, as gaps are measured too narrow"
     )
     near_m: float = Field(description="least distance from a camera to what it sees")
     camera_size_m: float = Field(

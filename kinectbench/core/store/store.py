@@ -272,8 +272,7 @@ class Store:
         is_same = all(result.meta[key] == first[0][key] for key in ("size", "last_modified"))
         if not first[0]["e_tag"] and not is_same:
             raise StorageError(
-                f"{self.place(name)}: was replaced during the download; run the command again",
-                what="refused",
+                f"{self.place(name)}: was replaced during the download; run the command again", what="refused"
             )
         for part in result.stream():
             out.write(bytes(part))

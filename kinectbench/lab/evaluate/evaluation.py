@@ -191,11 +191,7 @@ class Evaluation:
 
 
 def evaluate(
-    build: Build,
-    truth: Truth,
-    *,
-    align: bool = True,
-    progress: Progress = no_progress,
+    build: Build, truth: Truth, *, align: bool = True, progress: Progress = no_progress
 ) -> Evaluation:
     """Measure a build against the truth of the same recording.
 

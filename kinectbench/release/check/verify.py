@@ -216,11 +216,7 @@ def _view_problems(pair: Pair | PairInput, view: ViewRow | None) -> Iterator[str
 
 
 def _pair_lines(
-    contents: Contents,
-    name: str,
-    metadata: ReleaseInfo,
-    stated: _StatedPair,
-    objects: TruthCheck,
+    contents: Contents, name: str, metadata: ReleaseInfo, stated: _StatedPair, objects: TruthCheck
 ) -> list[str]:
     """Read and check the pair file `name`; `objects` checks its truth. Return a message for each fault."""
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}

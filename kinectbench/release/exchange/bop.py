@@ -362,10 +362,7 @@ def _write_scene(
 
 def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
     """Return T (4, 4), metres, as {cam_R_<frames>: rotation, row by row, cam_t_<frames>: translation, mm}."""
-    return {
-        f"cam_R_{frames}": T[:3, :3].ravel().tolist(),
-        f"cam_t_{frames}": (T[:3, 3] * MM_PER_M).tolist(),
-    }
+    return {f"cam_R_{frames}": T[:3, :3].ravel().tolist(), f"cam_t_{frames}": (T[:3, 3] * MM_PER_M).tolist()}
 
 
 def _unknown_share(release: Release, target: Target) -> float:

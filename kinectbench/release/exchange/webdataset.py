@@ -21,10 +21,7 @@ PAIRS_PER_SHARD = 100
 
 
 def export_webdataset(
-    release: Release,
-    out: Path,
-    progress: Progress = no_progress,
-    pairs_per_shard: int = PAIRS_PER_SHARD,
+    release: Release, out: Path, progress: Progress = no_progress, pairs_per_shard: int = PAIRS_PER_SHARD
 ) -> int:
     """Write the pairs of each split as shards `<split>-000000.tar` and so on; the bytes are reproducible.
 

@@ -46,9 +46,7 @@ def look_line(name: str, look: Sequence[str]) -> str:
 
 
 def gate_lines(
-    reasons: Iterable[str],
-    poor: Mapping[str, tuple[Sequence[str], str]],
-    look: Mapping[str, Sequence[str]],
+    reasons: Iterable[str], poor: Mapping[str, tuple[Sequence[str], str]], look: Mapping[str, Sequence[str]]
 ) -> Iterator[str]:
     """Yield the card's lines on recordings that are left out, poor, or to review.
 

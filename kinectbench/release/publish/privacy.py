@@ -48,11 +48,7 @@ LOOKED_FOR = (
     "paths on the disk of whoever published it",
     "EXIF, XMP, IPTC and comments in colour images",
 )
-LOOKED_IN = (
-    "JSON files",
-    "the settings in benchmark.json",
-    "headers of colour images",
-)
+LOOKED_IN = ("JSON files", "the settings in benchmark.json", "headers of colour images")
 KEPT = (
     "capture times of the frames (stamp_ns), as the recording has them",
     "names of the recordings' files (lineage.json)",

@@ -228,10 +228,7 @@ def _same(
             write += f", split: {first.split}"
         pairs.append(
             SameObject(
-                recordings=(a, b),
-                agreement=round(value, 3),
-                splits=(first.split, second.split),
-                write=write,
+                recordings=(a, b), agreement=round(value, 3), splits=(first.split, second.split), write=write
             )
         )
     yield from sorted(pairs, key=lambda pair: (pair.splits[0] == pair.splits[1], -pair.agreement))

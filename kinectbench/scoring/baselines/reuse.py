@@ -22,7 +22,7 @@ class Scoring:
     Attributes:
         names: the baselines that can be scored in this way.
         settings: the settings that their tables state.
-        make: makes tables, given (release, names) and the keywords thresholds_file, jobs and progress.
+        make: makes tables, given (release, names, `Request`).
         again: yields (baseline, its rows) for tasks of the test split, given (tasks, {baseline: thresholds},
             {category: base rate}, number of processes).
     """
@@ -34,12 +34,7 @@ class Scoring:
 
 
 def reusable_tables(
-    folders: Mapping[str, Path],
-    release: Release,
-    scoring: Scoring,
-    jobs: int,
-    *,
-    for_comparison: bool,
+    folders: Mapping[str, Path], release: Release, scoring: Scoring, jobs: int, *, for_comparison: bool
 ) -> dict[str, ScoreTable]:
     """Return the stored tables that are still valid, {baseline: its table}.
 

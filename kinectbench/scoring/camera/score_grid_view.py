@@ -89,11 +89,7 @@ SEARCHING = Counting(("paper",), surface=False)
 
 
 def score_grid_in_space(
-    release: Release,
-    asked: Plan,
-    method: str,
-    protocols: tuple[str, ...],
-    request: Request,
+    release: Release, asked: Plan, method: str, protocols: tuple[str, ...], request: Request
 ) -> ScoreTable:
     """Score in space, on the test split, a method that predicts voxels in each pair's grid; return the table.
 

@@ -93,10 +93,7 @@ def oriented_points(depth_m: Float32, camera: Camera, stride_px: int) -> Oriente
 
 
 def normal_equations(
-    surface: OrientedPoints,
-    depth_m: Float32,
-    T_target_source: Float64,
-    camera: Camera,
+    surface: OrientedPoints, depth_m: Float32, T_target_source: Float64, camera: Camera
 ) -> tuple[Float64, Float64, Float64]:
     """Gauss-Newton normal equations of the residuals n . (q - T p), Huber-weighted, in units of sigma.
 
@@ -139,11 +136,7 @@ class ViewAlignment:
 
 
 def align_view(
-    depth_m: Float32,
-    camera: Camera,
-    T_world_camera: Float64,
-    rendered_m: Float32,
-    pose_sigma_m: float,
+    depth_m: Float32, camera: Camera, T_world_camera: Float64, rendered_m: Float32, pose_sigma_m: float
 ) -> ViewAlignment:
     """Correct a view's pose by ICP of its depth against the object.
 

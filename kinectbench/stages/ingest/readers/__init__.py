@@ -337,10 +337,7 @@ def _by_pattern(recording: FileRecording, pattern: Pattern, *, in_mm: bool) -> R
             note += f"; in mm its median is {pattern.median / MM_SCALE:.2f} m: if its unit is 0.1 mm, "
             note += "`depth_scale: 10000`"
         return replace(
-            recording,
-            depth_code="rotated",
-            depth_scale=pattern.units,
-            warnings=(*recording.warnings, note),
+            recording, depth_code="rotated", depth_scale=pattern.units, warnings=(*recording.warnings, note)
         )
     unit = "mm" if in_mm else f"{recording.depth_scale:g} units per metre"
     note = f"{what}: it is read in {unit}; if its bits are rotated, as {whose}'s are, give {written}"
