@@ -67,7 +67,7 @@ def write_report(
     extras: ScoreExtras = NO_EXTRAS,
     released: ReleaseInfo | None = None,
 ) -> Path:
-    """Write the page of a benchmark; the same input gives the same bytes.
+    """Write the page of a benchmark to `out`, and return `out`; the same input gives the same bytes.
 
     Args:
         settings: the benchmark's settings.
@@ -79,9 +79,6 @@ def write_report(
         extras: groups and galleries of the score tables, in the same order.
         released: benchmark.json of a release without a local build; its settings are shown. None: `settings`
             are shown.
-
-    Returns:
-        `out`.
 
     Raises:
         StorageError: a file in `build` is damaged, or `out` cannot be written.

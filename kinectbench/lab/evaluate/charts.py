@@ -67,7 +67,7 @@ def _render_errors(
 def path_chart(
     positions_true: Float64, positions_built: Float64, errors_m: Float64, outline: Float64
 ) -> bytes:
-    """Plot the camera path from above: true path in grey, built positions coloured by their error.
+    """Plot the camera path from above as PNG: true path in grey, built positions coloured by their error.
 
     Args:
         positions_true: (n, 3) true positions of all frames in order, frame `object`; NaN where unknown.
@@ -75,9 +75,6 @@ def path_chart(
             `object`.
         errors_m: (m,) distances of built positions from true ones, metres.
         outline: (k, 2) points on the true object's surface: x and y in frame `object`, metres.
-
-    Returns:
-        A PNG file.
     """
     figure = new_figure(6.6, 5.6)
     axes = figure.add_subplot(aspect="equal")

@@ -185,7 +185,7 @@ def simulate_named(
     progress: NamedProgress,
     jobs: int = 1,
 ) -> list[Path]:
-    """Simulate and write one recording, or all sample recordings, or all of the demo.
+    """Simulate and write one recording, all sample recordings, or all of the demo; return their paths.
 
     Args:
         out: path of one recording; its default format is a ROS 1 bag if it ends in .bag, else the preset's.
@@ -196,9 +196,6 @@ def simulate_named(
         demo: folder for the demo's recordings.
         progress: called with (recording, frames done, frames), or (folder, recordings done, recordings).
         jobs: number of processes for several recordings.
-
-    Returns:
-        The written recordings.
 
     Raises:
         SettingsError: not exactly one of `out`, `samples` and `demo` is given; the preset or object is

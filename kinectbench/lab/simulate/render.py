@@ -256,16 +256,13 @@ class Renderer:
     def visible(
         self, points_room: Float64, normals_room: Float64, camera: Camera, T_room_camera: Float64
     ) -> Bools:
-        """Return whether a camera sees each surface point: in the image, facing the camera, and unoccluded.
+        """Return (n,) bool: whether a camera sees each point, in the image, facing the camera and unoccluded.
 
         Args:
             points_room: (n, 3), metres.
             normals_room: (n, 3), unit, outward.
             camera: intrinsics.
             T_room_camera: (4, 4) pose of the camera.
-
-        Returns:
-            bool (n,).
         """
         points_camera = transform_points(invert_rigid(T_room_camera), points_room)
         ahead = points_camera[:, 2] > 0

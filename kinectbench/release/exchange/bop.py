@@ -234,15 +234,12 @@ Made by kinectbench of the release {identity}; licence of the data: {license}.
 
 
 def export_bop(release: Release, out: Path, progress: Progress = no_progress) -> int:
-    """Write a release as a BOP data set.
+    """Write a release as a BOP data set; return the number of images.
 
     Args:
         release: the opened release.
         out: a new folder, or an earlier export, which is replaced.
         progress: called with (images done, images in all).
-
-    Returns:
-        The number of images.
 
     Raises:
         SettingsError: `out` holds something else.
