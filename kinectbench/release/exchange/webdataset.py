@@ -1,6 +1,6 @@
 """A release as WebDataset shards: tar files that training reads sequentially.
 
-`kinectbench.decode_sample` (scoring/shards.py) reads the samples back.
+`kinectbench.decode_sample` (scoring/dataset.py) reads the samples back.
 """
 
 import io
