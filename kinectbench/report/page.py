@@ -12,7 +12,8 @@ from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.gallery import Gallery
 from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.listing import SHOWN, Listing, spread
+from kinectbench.core.even_choice import spread
+from kinectbench.core.listing import SHOWN, Listing
 from kinectbench.core.pages import render_page
 from kinectbench.core.types import NamedProgress, no_progress
 from kinectbench.engine.stages import Job

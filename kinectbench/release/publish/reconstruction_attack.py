@@ -14,8 +14,8 @@ import numpy as np
 
 from kinectbench.core import images
 from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.even_choice import spread
 from kinectbench.core.geometry import Camera, Grid, depth_sigma_m, invert_rigid, transform_points
-from kinectbench.core.listing import spread
 from kinectbench.core.types import MM_PER_M, Bools, Float32, Float64
 from kinectbench.core.voxels.convex_hull import filled_hull
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, unpack
