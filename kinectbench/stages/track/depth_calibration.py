@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.even_choice import spread
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import (
     NO_CALIBRATION,
     TERMS,
@@ -91,11 +91,16 @@ def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.
     pairs = sorted((int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW)
     all_sums = _all_sums(
         CalibrationView(maps[b][0], maps[a][0], invert_rigid(T_world_camera[a]) @ T_world_camera[b])
-        for a, b in spread(pairs, MAX_PAIRS)
+        for a, b in evenly_chosen(pairs)
     )
     sums = [unexplained for _, unexplained in all_sums]
     helps = len(sums) >= MIN_PAIRS and _left(sums, [posed for posed, _ in all_sums]) < POSED_FALLS_TO
     return _accepted(sums) if helps else NO_CALIBRATION
+
+
+def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Choose at most 400 of the pairs, evenly spread, in their order."""
+    return [pairs[row] for row in evenly(len(pairs), MAX_PAIRS)]
 
 
 def _accepted(sums: Sequence[Float64]) -> DepthCalibration:

@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinectbench.core.even_choice import spread
 from kinectbench.core.geometry import NO_CALIBRATION, DepthCalibration, invert_rigid, rotation_angle_rad
 from kinectbench.core.threads import ahead
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import KeyframeThumbnail, covisible, keyframe_thumbnail
-from kinectbench.stages.track.depth_calibration import MAX_PAIRS, CalibrationView, calibrate
+from kinectbench.stages.track.depth_calibration import CalibrationView, calibrate, evenly_chosen
 from kinectbench.stages.track.features import FeatureCache, pose_from_features, similarity
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.odometry import Odometry, is_accepted, point_stride
@@ -237,7 +236,7 @@ class _Builder:
             return
         pairs = sorted((a, b) for share, a, b in self._covisible_pairs() if share >= MIN_SHARED_VIEW)
         self.maps.calibrate(NO_CALIBRATION)
-        self.calibration = calibrate(self._view(a, b) for a, b in spread(pairs, MAX_PAIRS))
+        self.calibration = calibrate(self._view(a, b) for a, b in evenly_chosen(pairs))
         self.maps.calibrate(self.calibration)
         ends = [(each.a, each.b) for each in self.constraints]
         along = sorted(range(len(ends)), key=ends.__getitem__)
