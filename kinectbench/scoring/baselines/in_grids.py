@@ -98,7 +98,7 @@ def _tables(
     earlier = {} if request.thresholds_file else folders
     tables = reusable_tables(earlier, release, scoring, request.here, for_comparison=for_comparison)
     if wanted := [name for name in scoring.names if name not in tables]:
-        for table in scoring.make(release, wanted, request):
+        for table in scoring.make(release, wanted, request=request):
             made = table.model_copy(update={"baseline": True}) if for_comparison else table
             made.write(folders[table.method])
             tables[table.method] = made

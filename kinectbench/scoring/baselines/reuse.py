@@ -22,7 +22,7 @@ class Scoring:
     Attributes:
         names: the baselines that can be scored in this way.
         settings: the settings that their tables state.
-        make: makes tables, given (release, names, `Request`).
+        make: makes tables, given (release, names) and the keyword `request`, a `Request`.
         again: yields (baseline, its rows) for tasks of the test split, given (tasks, {baseline: thresholds},
             {category: base rate}, number of processes).
     """
