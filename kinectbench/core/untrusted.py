@@ -72,10 +72,6 @@ def size_of(file: IO[bytes]) -> int:
 def scanned(folder: Path, most: int = MOST_LISTED) -> Iterator["os.DirEntry[str]"]:
     """Yield the entries of a folder one at a time, unordered, so that many names cannot fill the memory.
 
-    Args:
-        folder: a folder.
-        most: largest number of files and folders in it.
-
     Raises:
         OSError: the folder cannot be read; EFBIG: it holds more than `most`.
     """
@@ -89,12 +85,9 @@ def scanned(folder: Path, most: int = MOST_LISTED) -> Iterator["os.DirEntry[str]
 def listed_paths(
     folder: Path, most: int = MOST_LISTED, wanted: Callable[[str], object] | None = None
 ) -> Iterator[Path]:
-    """Yield the paths of a folder's entries; see `scanned`.
+    """Yield the paths of a folder's entries whose names are `wanted`; see `scanned`.
 
-    Args:
-        folder: a folder.
-        most: largest number of files and folders in it.
-        wanted: filter of names; filtering before paths are made takes a third of the time.
+    Filtering before paths are made takes a third of the time.
     """
     names = (entry.name for entry in scanned(folder, most))
     return (folder / name for name in names if wanted is None or wanted(name))
@@ -125,11 +118,7 @@ def listed_below(folder: Path, most: int = MOST_LISTED, *, with_empty: bool = Fa
 
 
 def read_plain(path: Path, most_bytes: int) -> bytes:
-    """Read the bytes of a regular file.
-
-    Args:
-        path: the file.
-        most_bytes: a larger file is refused before it is read.
+    """Read the bytes of a regular file; a file larger than `most_bytes` is refused before it is read.
 
     Raises:
         OSError: as `open_plain`; EFBIG: the file is larger.

@@ -240,13 +240,9 @@ def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
 
 
 def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
-    """Return the settings that differ from those of the artefacts on disk: {dotted key: (then, now)}.
+    """Return settings that differ from those of artefacts on disk up to a stage: {dotted key: (then, now)}.
 
     Artefacts of another version of their stage are not compared.
-
-    Args:
-        job: the recording, with its present settings.
-        upto: name of the last stage.
     """
     changed: dict[str, tuple[object, object]] = {}
     for stage in stages_upto(upto):

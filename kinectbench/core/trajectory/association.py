@@ -92,11 +92,7 @@ def pairing_tolerance_ns(depth_ns: Sequence[int] | Int64, color_ns: Sequence[int
 
     It is half a frame interval of the faster stream plus half the larger jitter of the two streams, at most
     `TOLERANCE_NS`. Below that limit, it includes the nearest image, and mostly excludes that of the next
-    frame.
-
-    Args:
-        depth_ns: stamps of depth, nanoseconds, in any order.
-        color_ns: stamps of colour, nanoseconds, in any order.
+    frame. The stamps are in nanoseconds, in any order.
     """
     streams = [np.unique(np.asarray(stamps_ns, np.int64)) for stamps_ns in (depth_ns, color_ns)]
     halves_ns = [half_step_ns(stream) for stream in streams]

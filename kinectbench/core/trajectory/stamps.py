@@ -164,11 +164,7 @@ def typical_period_ns(stamps_ns: Int64) -> int:
 
 
 def find_stamp_faults(stamps_ns: ArrayLike) -> StampFaults:
-    """Find the faults of the stamps of one stream.
-
-    Args:
-        stamps_ns: (n,) nanoseconds, in the order of recording.
-    """
+    """Find the faults of the stamps (n,) of one stream, nanoseconds, in the order of recording."""
     stamps = np.asarray(stamps_ns, np.int64)
     steps = np.diff(stamps)
     is_jump = (steps > JUMP_NS) & (steps > JUMP_PERIODS * typical_period_ns(stamps))

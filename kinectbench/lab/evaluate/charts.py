@@ -164,8 +164,7 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
 def slice_picture(solids: EvaluatedSolids) -> bytes:
     """Return a PNG file of three slices through the true solid's centre of mass, coloured by `slice_colors`.
 
-    Args:
-        solids: grids on the canonical cube, whose axes are those of frame `object`.
+    The grids are on the canonical cube, whose axes are those of frame `object`.
     """
     figure = new_figure(10.2, 3.9)
     middle = np.rint(np.argwhere(solids.true).mean(axis=0)).astype(int)

@@ -154,14 +154,7 @@ ELSEWHERE = {"name", "license", "models", "categories", "seed", "train", "valida
 
 @dataclass(frozen=True)
 class Task:
-    """One model whose pairs are to be made.
-
-    Attributes:
-        model: the model.
-        split: the benchmark's split that it belongs to.
-        settings: settings of the run.
-        work: the folder of all models' artefacts.
-    """
+    """One model whose pairs are to be made, and its split; `work` is the folder of all models' artefacts."""
 
     model: Model
     split: Split

@@ -30,11 +30,7 @@ HUGGING_FACE = {
 def reasons_against_distribution(
     recordings: Mapping[str, RecordingInfo | RecordingSettings],
 ) -> tuple[str, ...]:
-    """Return why the data must not be distributed, one line each; empty if distribution is allowed.
-
-    Args:
-        recordings: {id: recording with its licence and source}.
-    """
+    """Return why the data must not be distributed, one line each; empty if distribution is allowed."""
     reasons = []
     for key, word in (("license", "licence"), ("source", "source")):
         silent = [name for name, info in sorted(recordings.items()) if getattr(info, key) == UNSPECIFIED]

@@ -52,11 +52,7 @@ class PosedView:
 
 
 def attack_line(infos: Mapping[str, RecordingInfo]) -> str | None:
-    """Return a warning with the highest IoU of a rebuilt object, and the remedy; None if none was rebuilt.
-
-    Args:
-        infos: {recording: its entry in benchmark.json}.
-    """
+    """Return a warning with the highest IoU of a rebuilt object, and the remedy; None if none was rebuilt."""
     results = {
         name: (info.rebuilt_iou, info.rebuilt_single_iou)
         for name, info in infos.items()

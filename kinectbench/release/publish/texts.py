@@ -100,12 +100,6 @@ def stated_warnings(
     """Return the warnings of a release of recordings, derived from its files, without advice.
 
     Lines on recordings with the same frames cannot be derived, so they are taken from the card.
-
-    Args:
-        info: content of benchmark.json.
-        settings: the benchmark's settings.
-        targets: every pair.
-        card_text: text of the card.
     """
     # In the order of the settings, as `gate` judges them.
     infos = {each.id: info.recordings[each.id] for each in settings.recordings if each.id in info.recordings}

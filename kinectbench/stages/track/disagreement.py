@@ -100,10 +100,6 @@ def agrees_as_well(as_given: Registration, registration: Registration) -> bool:
 
     The overlaps are not compared: frames from two sides of an object overlap little and still fit. At the
     given pose the overlap must be at least 5 %, and the inlier ratio 90 %.
-
-    Args:
-        as_given: the quality measured at the given pose.
-        registration: the quality at the registered pose.
     """
     close_m = max(AS_CLOSE * registration.residual_m, WELL_BELOW_NOISE * as_given.noise_m)
     return (

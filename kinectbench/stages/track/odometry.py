@@ -151,10 +151,7 @@ def follow(maps: MapCache, features: FeatureCache, T_given: Float64 | None = Non
 class Follower:
     """Builds the odometry frame by frame; a pickled copy continues elsewhere with the same result.
 
-    Attributes:
-        maps: maps of the frames.
-        features: features of the frames.
-        frames: odometry of the frames taken so far.
+    `frames` is the odometry of the frames taken so far.
     """
 
     def __init__(self, maps: MapCache, features: FeatureCache, T_given: Float64 | None = None) -> None:

@@ -60,10 +60,8 @@ def outlier_warnings(reasons: Mapping[int, str], source: Source) -> list[str]:
 def far_warnings(T_world_camera: Float64) -> list[str]:
     """Return a warning about cameras too far from most others to see the same scene; [] if there are none.
 
-    Their poses cannot be checked, because no other frame sees the same place.
-
-    Args:
-        T_world_camera: (n, 4, 4), NaN where a frame has no pose.
+    Their poses cannot be checked, because no other frame sees the same place. Poses are (n, 4, 4), NaN where
+    a frame has none.
     """
     posed = np.flatnonzero(has_pose(T_world_camera))
     positions = T_world_camera[posed, :3, 3]

@@ -24,10 +24,6 @@ FORWARD = np.array([-0.55, -0.8, -0.42])
 def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
     """Draw a subject's coloured pieces in one oblique parallel view, from its front right and from above.
 
-    Args:
-        subject: the object to draw.
-        size_px: edge of the picture.
-
     Returns:
         (size_px, size_px, 3) uint8 RGB.
     """

@@ -164,11 +164,8 @@ def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str
     """Return (path, format) of every recording in a folder and below, sorted. Recordings are not nested.
 
     A folder is skipped, with all below it, if it is unreadable, starts with a dot, was made by a build, or
-    contains the ground truth of a simulated recording. A link is looked at, but not what lies below it.
-
-    Args:
-        folder: the folder to search.
-        most: largest number of files and folders to look at.
+    contains the ground truth of a simulated recording. A link is looked at, but not what lies below it. At
+    most `most` files and folders are looked at.
     """
     return list(_recordings_below(folder, iter(range(most))))
 

@@ -233,10 +233,6 @@ def conversion(listed: Listed, file: Path) -> str:
     """Return the words "write it as ...", with a line of Python that does it, if the kind of file has one.
 
     There is no line if the name holds a backtick, which would end it.
-
-    Args:
-        listed: the files of the recording's folder.
-        file: one of its files of depth.
     """
     kind, name = file.suffix.lower(), file.relative_to(listed.path).as_posix()
     template = _raw(listed, file) if kind in BARE else READ_BY.get(kind, "")
