@@ -93,7 +93,7 @@ def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
 
 
 def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:
-    """Return the median depth, m, in the middle third of images (height, width), 0 = none; None if all are."""
+    """Median depth, m, in the middle third of images (height, width), 0 = none; None if none is there."""
     middles_m: list[float] = []
     for depth_m in depths_m:
         height, width = depth_m.shape
