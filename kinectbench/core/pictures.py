@@ -62,10 +62,7 @@ def look_along(forward: Float64, up: Float64) -> Float64:
 def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08) -> Viewpoint:
     """Return the viewpoint that has this orientation and just shows all points.
 
-    Args:
-        points_m: (n, 3), n > 0.
-        R_frame_view: orientation, as in `Viewpoint`.
-        margin: edge of the picture, as a multiple of the larger extent of the points in it.
+    The picture's edge is `margin` times the larger extent of the points (n, 3), n > 0, in it.
     """
     points_view = points_m @ R_frame_view
     low, high = points_view.min(axis=0), points_view.max(axis=0)

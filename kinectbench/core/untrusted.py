@@ -94,12 +94,7 @@ def listed_paths(
 
 
 def listed_below(folder: Path, most: int = MOST_LISTED, *, with_empty: bool = False) -> Iterator[Path]:
-    """Yield every file and link in a folder and below it, unordered; links are not followed.
-
-    Args:
-        folder: a folder.
-        most: largest number of files and folders in it and below.
-        with_empty: whether to yield empty folders, too.
+    """Yield every file, link and, `with_empty`, empty folder below a folder, unordered; follow no links.
 
     Raises:
         OSError: a folder cannot be read; EFBIG: there is more than `most`.
@@ -183,11 +178,6 @@ def decoded(content: bytes, most_bytes: int, where: str) -> str:
 
     One character that takes two or four bytes makes every character of a text that wide (PEP 393).
 
-    Args:
-        content: UTF-8 bytes.
-        most_bytes: largest size of the text in memory.
-        where: name of the file, for the error.
-
     Raises:
         OSError: EFBIG: the text takes more memory.
         UnicodeDecodeError: the bytes are not UTF-8.
@@ -206,9 +196,7 @@ _WIDTHS = ((4, re.compile(rb"[\xf0-\xff]")), (2, re.compile(rb"[\xc4-\xff]")))
 def below(folder: Path, name: str) -> Path:
     """Join an untrusted name, such as one from an index file, to a folder; refuse a name that leads outside.
 
-    Args:
-        folder: the folder that the name is relative to.
-        name: relative path with "/" between folders.
+    The name is relative to the folder, with "/" between folders.
 
     Raises:
         ValueError: the name is absolute, leads upwards, is hidden, or is no name; the message says which.

@@ -121,12 +121,7 @@ def _beside(first: int, poses: Float64) -> list[int]:
 
 
 def fits(residual_m: float, pairs: Sequence[FramePair]) -> bool:
-    """Return whether a residual is small enough, compared with depth noise, for the poses to fit.
-
-    Args:
-        residual_m: the result of `pair_residual_m`, metres.
-        pairs: the pairs that it was computed from.
-    """
+    """Whether `pair_residual_m` of these pairs is small enough, beside depth noise, for poses to fit."""
     distance_m = float(np.median(np.concatenate([pair.points[:, 2] for pair in pairs])))
     noise_m = np.sqrt(2) * depth_sigma_m(distance_m)
     return bool(residual_m <= min(FITTING_NOISES * noise_m, MOST_FITTING_M))

@@ -189,11 +189,7 @@ class RecordingPart:
 
 
 def collect(job: Job, folder: Path) -> RecordingPart:
-    """Collect the current results of one recording; outdated results are only named.
-
-    Args:
-        job: the recording, with the settings that its build must have.
-        folder: `build/<recording>/`.
+    """Collect the current results of one recording in `build/<recording>/`; outdated ones are only named.
 
     Raises:
         StorageError: a file is damaged.

@@ -102,10 +102,7 @@ def box_line(box: BoxPart) -> str:
 def with_recordings(text: str, source: str, lines: Sequence[str]) -> str:
     """Append recordings to the text of a benchmark.yaml; return the text, otherwise unchanged.
 
-    Args:
-        text: text of the file.
-        source: name of the file.
-        lines: lines of the new entries; each entry starts with `  - id:`.
+    Each of the new entries in `lines` starts with `  - id:`.
 
     Raises:
         SettingsError: the file cannot be changed safely.

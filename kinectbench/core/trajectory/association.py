@@ -47,12 +47,8 @@ def associate(
 
     Stamps may be paired if they differ by `tolerance_ns` at most. The result has the largest number of pairs,
     and among those the smallest sum of differences. Optimal pairs never need to cross, so dynamic programming
-    over the sorted stamps finds them. The default tolerance of 0.02 s is that of TUM RGB-D.
-
-    Args:
-        depth_ns: increasing stamps of depth.
-        color_ns: increasing stamps of colour, same clock.
-        tolerance_ns: largest difference of a pair.
+    over the sorted stamps finds them. The default tolerance of 0.02 s is that of TUM RGB-D. The stamps of
+    each stream increase, by one clock.
 
     Returns:
         For each depth frame, the index of its colour frame; None if it has no partner.

@@ -122,10 +122,7 @@ def _truths(folder: Path) -> Iterator[str]:
 def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool) -> ComparedMesh:
     """Return the metrics of an object against a reference; the mesh's name and hash are left empty.
 
-    Args:
-        model: the object.
-        fit: the reference, registered by `register_reference`.
-        closed: whether the reference's mesh is closed.
+    `fit` is by `register_reference`; `closed` tells whether the reference's mesh is closed.
     """
     head = ComparedMesh(reference="", sha256="", refused=fit.refused, closed=closed)
     if fit.pose is None:

@@ -38,9 +38,7 @@ class PlannedFrame:
 def plan_frames(spec: SimulationSpec, T_world_camera: Float64) -> tuple[PlannedFrame, ...]:
     """Plan which frames are recorded, in which order, with which stamps and poses.
 
-    Args:
-        spec: the settings of the simulation, with its faults.
-        T_world_camera: (n, 4, 4), the true poses of all frames, before any is dropped.
+    `T_world_camera` (n, 4, 4) has the true poses of all frames, before any is dropped.
     """
     faults = spec.faults
     rng = spec.rng(FAULTS)

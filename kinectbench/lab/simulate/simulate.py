@@ -155,12 +155,7 @@ def prepare(spec: SimulationSpec) -> Simulation:
 
 
 def record_frame(simulation: Simulation, index: int) -> SimulatedFrame:
-    """Render one frame of the recording, and simulate the sensor's measurement of it.
-
-    Args:
-        simulation: the result of `prepare`.
-        index: position in `simulation.frames`.
-    """
+    """Render the frame at `index` of `simulation.frames`, and simulate the sensor's measurement of it."""
     spec, plan = simulation.spec, simulation.frames[index]
     renderer = simulation.foreign if plan.foreign and simulation.foreign else simulation.renderer
     exact = renderer.render(spec.camera, _poses_of_rows(simulation, spec.camera.height, plan.time_s))

@@ -63,15 +63,10 @@ EVERY, NEW, OTHER = range(3)
 
 
 def missing_files(metadata: ReleaseInfo, targets: Sequence[Target], names: Collection[str]) -> Iterator[str]:
-    """Yield a message for each missing file that every release of recordings has.
+    """Yield a message for each file that every release of recordings has, and SHA256SUMS (`names`) lacks.
 
     Earlier versions may have written fewer files. Their releases need only the meshes and volumes, by which
     pairs are checked. Images are checked with the tables that list them.
-
-    Args:
-        metadata: content of benchmark.json.
-        targets: the lines of targets.csv.
-        names: the names in SHA256SUMS.
     """
     if metadata.benchmark_sha256_version is None:
         return

@@ -70,13 +70,7 @@ def without_tags(text: str) -> str:
 
 
 def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo]) -> str:
-    """Return the text of LICENSE: the benchmark's licence, then licence and source of each recording.
-
-    Args:
-        name: the benchmark's name.
-        license: the benchmark's licence.
-        recordings: {id: the recording's entry in benchmark.json}.
-    """
+    """Return the text of LICENSE: the benchmark's licence, then licence and source of each recording."""
     head = "No licence is stated for the benchmark as a whole." if license == UNSPECIFIED else license
     lines = [f"The data of the benchmark '{name}'", "", f"Licence: {head}"]
     if url := license_url(license):

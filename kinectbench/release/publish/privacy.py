@@ -104,9 +104,7 @@ def scrubbed_jpeg(data: bytes, file: str, removals: list[Removed]) -> bytes:
 def privacy(color: ColorPublished, removals: list[Removed]) -> Privacy:
     """Return the content of privacy.json.
 
-    Args:
-        color: whether colour images are "left out", "published" or do not exist ("none").
-        removals: the removed private facts.
+    Colour images are "left out", "published" or do not exist ("none").
     """
     return Privacy(
         format_version=1,

@@ -83,9 +83,7 @@ def read_posed_view(folder: Path, view: str, camera: Camera, T_world_camera: Flo
 def attack_ious(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> tuple[float, float]:
     """Return the IoU of an object rebuilt from its public views, by the best method of `solids`.
 
-    Args:
-        views: {name: public view} of the object.
-        pair_of: function that returns the complete pair of a view, given its name.
+    `pair_of` returns the complete pair of a view, given its name.
 
     Returns:
         Two IoUs with the truth on known cells: of the solid rebuilt from all views, and of the solid rebuilt

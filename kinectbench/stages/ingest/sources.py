@@ -20,11 +20,7 @@ QUOTED = 300
 
 
 def check_there(path: Path, missing: str = MISSING) -> None:
-    """Refuse a missing recording, or a missing file of a recording.
-
-    Args:
-        path: the file or folder.
-        missing: the message if it is missing.
+    """Refuse a missing recording, or a missing file of a recording, with the message `missing`.
 
     Raises:
         RecordingError: the path is missing or invalid.

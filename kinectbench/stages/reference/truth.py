@@ -104,9 +104,7 @@ def read_reference(path: Path) -> Reference:
 def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
     """Return the object with a reference mesh in place of the fused shape.
 
-    Args:
-        model: the fused object, which the mesh is registered to.
-        path: of the mesh, in metres and any frame.
+    The mesh at `path`, in metres and any frame, is registered to the fused object.
 
     Raises:
         RecordingError: the mesh cannot be read.

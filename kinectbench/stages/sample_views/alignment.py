@@ -61,15 +61,10 @@ class OrientedPoints:
 
 
 def oriented_points(depth_m: Float32, camera: Camera, stride_px: int) -> OrientedPoints:
-    """Compute points with normals from a depth image, in the camera frame.
+    """Compute points with normals from depth (height, width), metres, 0 = none, in the camera frame.
 
     A point's normal comes from the four pixels that are four rows or four columns away. Pixels beyond 3.5 m
     or at a depth edge are left out.
-
-    Args:
-        depth_m: (height, width) float32, metres, 0 = none.
-        camera: intrinsics.
-        stride_px: stride along rows and columns.
     """
     reach = NORMAL_REACH_PX
     points = camera.backproject(depth_m)

@@ -265,12 +265,8 @@ def observability(parts: Sequence[LinearTerms], source: Level, targets: Sequence
 
     Noise of unit variance along each axis e of a normal adds J J^T to the information, where J = ([p]x e, e).
     The sum over the axes is [[p]x; 1] [[p]x; 1]^T. Its mean over the points is the metric: the length of a
-    twist in this metric is the root-mean-square motion of the points.
-
-    Args:
-        parts: terms for each target, linearised `with_observability`.
-        source: the level that was linearised.
-        targets: the levels it was linearised against.
+    twist in this metric is the root-mean-square motion of the points. `parts` are the terms for each target,
+    linearised `with_observability`.
     """
     moments = np.sum([terms.moments for terms in parts], axis=0)
     x, y, z, n = moments[3] / max(moments[3, 3], 1)

@@ -82,10 +82,7 @@ def color_encoding(message: Message) -> str | None:
 def depth_of(message: Message, name: str, float_units_per_m: float = 1.0) -> NDArray[np.uint16]:
     """Decode the depth of an Image or CompressedImage message.
 
-    Args:
-        message: a message with the fields of sensor_msgs.
-        name: topic and message number, for errors.
-        float_units_per_m: units per metre of a 32FC1 image.
+    Of a 32FC1 image, a metre has `float_units_per_m`; `name` is topic and number, for errors.
 
     Returns:
         (height, width) uint16, 0 = none: integers unchanged, floats in 1 / FLOAT_SCALE m (NaN, infinity and
@@ -184,10 +181,6 @@ def decode_rvl(data: bytes, name: str) -> NDArray[np.uint16]:
     previous one (zigzag), are written in nibbles with three bits each, least significant first; the fourth
     bit says that more follow. Nibbles fill little-endian 32-bit words from the top (Wilson, "Fast Lossless
     Depth Image Compression", 2017, section 3).
-
-    Args:
-        data: header and code.
-        name: source of the data, for messages.
 
     Returns:
         (rows, columns) uint16.

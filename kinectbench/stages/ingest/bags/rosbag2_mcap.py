@@ -39,12 +39,7 @@ ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
 
 def walk_mcap(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
-    """Find the messages of the wanted types in an mcap file.
-
-    Args:
-        path: the file.
-        types: the wanted types, in ROS 1's spelling.
-        budget: limits for the whole bag.
+    """Find the messages of the wanted types (ROS 1's spelling) in an mcap file, within `budget`.
 
     Raises:
         RecordingError: the topics are serialised in an unreadable way.

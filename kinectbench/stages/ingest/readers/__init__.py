@@ -91,10 +91,7 @@ def open_recording(
 ) -> Recording:
     """Open a recording of any known format.
 
-    Args:
-        path: the folder or file.
-        camera: values that override those of the recording.
-        follow_links: whether to follow links; otherwise a recording that contains any is refused.
+    `camera` overrides the recording's values. Without `follow_links`, a recording with links is refused.
 
     Raises:
         RecordingError: the recording is missing, of unknown format, or unusable.

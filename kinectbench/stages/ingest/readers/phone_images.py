@@ -223,11 +223,7 @@ def times_or_counted(times_s: Float64, counted_ns: Sequence[int], path: Path) ->
 
 
 def one_camera(rows: Float64, path: Path) -> tuple[Float64, list[str]]:
-    """Compute the median camera of frames with slightly different intrinsics.
-
-    Args:
-        rows: (n, 4) fx, fy, cx, cy of each frame, pixels.
-        path: the recording, for messages.
+    """Compute the median camera of frames whose fx, fy, cx, cy (n, 4), pixels, differ slightly.
 
     Returns:
         The pinhole matrix (3, 3), and a warning if frames differ more than usual.
