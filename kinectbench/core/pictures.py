@@ -131,11 +131,7 @@ def render_pieces(
 ) -> Rgb:
     """Render shaded meshes, each in its colour, on plain paper: (size_px, size_px, 3) uint8 RGB.
 
-    Args:
-        pieces: meshes and their colours.
-        viewpoint: the projection.
-        size_px: edge of the picture.
-        contrast: contrast of the shading, 0 to 1; with less, colours in the shade are easier to distinguish.
+    With less `contrast`, 0 to 1, colours in the shade are easier to distinguish.
     """
     shown = [piece for piece in pieces if len(piece[0].faces)]
     if not shown:
@@ -197,12 +193,8 @@ def new_figure(
 ) -> "Figure":
     """Make an empty figure for a plot.
 
-    Args:
-        width_in: width, inches.
-        height_in: height, inches.
-        paper: background colour.
-        margins: left, bottom, right and top, as fractions of the figure; None: as the labels need, which
-            doubles the drawing time.
+    Sizes are in inches; left, bottom, right and top margin are fractions of the figure. None: as the labels
+    need, which doubles the drawing time.
     """
     # Without pyplot there is no global state, and no display is needed.
     from matplotlib.figure import Figure

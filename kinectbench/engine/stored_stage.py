@@ -114,13 +114,8 @@ def fetch_file(
 ) -> None:
     """Download one JSON file of a stored artefact.
 
-    Args:
-        store: store of the benchmark's root.
-        recording: id of the recording.
-        artefact: an artefact that the store holds.
-        name: name of the file.
-        names: a listing of `build/<recording>/`, which often saves a request: the file's place in the store
-            is read from it instead of from the manifest, if it has one such file.
+    `names`, a listing of `build/<recording>/`, often saves a request: the file's place in the store is read
+    from it instead of from the manifest, if it has one such file.
     """
     where, folder = stored_folder(recording, artefact), _made(artefact.folder)
     if name == Manifest.FILE:

@@ -123,11 +123,7 @@ def item_of(
 ) -> Item:
     """Return the item of a pair.
 
-    Args:
-        target: recording, object, view, category and split.
-        parts: {key: part of the pair}: arrays as they are stored, and images.
-        keys: the requested keys; the item has them in this order.
-        packed: whether grids stay packed.
+    `parts` are arrays as they are stored, and images; the item has the keys in their order.
     """
     item: Item = {"pair_id": f"{target['recording']}/{target['view']}"}
     for key in keys:

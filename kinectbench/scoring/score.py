@@ -36,12 +36,8 @@ def score(
 ) -> ScoreTable:
     """Score the test split; predictions of the validation split serve only to choose the thresholds.
 
-    Args:
-        release: the release that was predicted.
-        predictions: one method's folder, with a file `<recording>/<view>` for each view; untrusted.
-        method: the method's name.
-        resume_in: a folder where counts are kept until all pairs are counted; None keeps nothing.
-        options: the attributes of `Request`.
+    The predictions, one file `<recording>/<view>` each, are untrusted. In `resume_in`, if given, counts are
+    kept until all pairs are counted. `options` are the attributes of `Request`.
 
     Returns:
         The table. A prediction that cannot be scored is listed in `failures`; all others are scored.

@@ -132,12 +132,7 @@ class Store:
         """Create a file, but never replace one; of several concurrent writers only one succeeds.
 
         An existing file with equal content is no error: the store's answer to an earlier attempt may be lost.
-
-        Args:
-            name: name of the file.
-            content: its bytes.
-            same: compares the existing content (first argument) with the new one; true if they are
-                equivalent.
+        `same` compares the existing content (first argument) with the new one; true if they are equivalent.
 
         Returns:
             Whether this call wrote the file; False if it existed with equal content.

@@ -195,11 +195,8 @@ def evaluate(
 ) -> Evaluation:
     """Measure a build against the truth of the same recording.
 
-    Args:
-        build: the build; later stages may be missing.
-        truth: the simulator's truth.
-        align: whether to align the build's world with the truth's by the trajectories.
-        progress: called with (pairs done, pairs in all).
+    Later stages may be missing in the build; `align` aligns its world with the truth's by the trajectories.
+    `progress` is called with (pairs done, pairs in all).
 
     Raises:
         RecordingError: the truth is of another recording, damaged, or thinner than a cell.

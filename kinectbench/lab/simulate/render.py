@@ -332,11 +332,8 @@ def still_renderer(
 ) -> StillRenderer:
     """Make a renderer whose camera stays where the path starts, while the object moves.
 
-    Args:
-        items: items of the scene, with the object at the origin.
-        texture: texture of all surfaces.
-        T_room_first: (4, 4), the path's first pose.
-        settings: settings of the path, with `moves` set to "turntable" or "hand".
+    The object is at the origin; `T_room_first` (4, 4) is the path's first pose, and its `moves` "turntable"
+    or "hand".
     """
     own = [item for item in items if item.role == "subject"]
     T_room_still = T_room_first.copy()

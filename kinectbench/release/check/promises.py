@@ -84,11 +84,7 @@ def own_files(
 ) -> dict[str, int]:
     """Return {file: EVERY, NEW or OTHER} of all files that a release of this version may have.
 
-    Args:
-        metadata: content of benchmark.json.
-        targets: the lines of targets.csv.
-        names: the names of the release's files; a schema is stored only of files that are there.
-        color: whether the views' colour images are published.
+    A schema is stored only of files that are there, `names`.
     """
     schemas = (name for name, _ in schema_texts(names, columns_of(targets)))
     files = dict.fromkeys((*TEXTS, LINEAGE_JSON, PRIVACY_JSON, SPLITS_JSON, *schemas), NEW)
@@ -142,11 +138,7 @@ def promise_problems(
 ) -> Iterator[str]:
     """Yield a message for each file or key of a release that must not be there, or is missing.
 
-    Args:
-        contents: the release, which this version published; its other files have passed all checks.
-        metadata: content of benchmark.json.
-        targets: the lines of targets.csv.
-        pair_keys: {recording: {pair file: the keys that it holds}}.
+    The release's other files have passed all checks. `pair_keys` is {recording: {pair file: its keys}}.
     """
     try:
         stated = Privacy.parse(contents.text(PRIVACY_JSON), PRIVACY_JSON)

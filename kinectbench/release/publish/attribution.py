@@ -87,11 +87,8 @@ def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo
 def citation_text(citation: CitationSettings, name: str, license: str) -> str:
     """Return the text of CITATION.cff (Citation File Format 1.2.0) of a dataset.
 
-    Args:
-        citation: the benchmark's citation; `name` replaces a missing title and authors.
-        name: the benchmark's name.
-        license: the licence. It is left out unless it is in `HUGGING_FACE`, because the format requires an
-            SPDX identifier.
+    `name` replaces a missing title and authors. A licence that is not in `HUGGING_FACE` is left out, because
+    the format requires an SPDX identifier.
     """
     content: dict[str, object] = {
         "cff-version": "1.2.0",

@@ -178,11 +178,7 @@ class Gate:
 def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], allow_poor: bool) -> Gate:
     """Decide which recordings of a benchmark are published.
 
-    Args:
-        settings: the benchmark's settings, with limits and reviews.
-        build: the folder with a subfolder for each recording.
-        recordings: ids of the built recordings.
-        allow_poor: whether recordings that violate limits are published, too.
+    `recordings` are the built ones; with `allow_poor`, those that violate limits are published, too.
 
     Raises:
         ReleaseError: the same frames would be published under two ids in different splits.

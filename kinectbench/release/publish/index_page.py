@@ -269,11 +269,7 @@ def category_texts(
 ) -> Iterator[tuple[str, str]]:
     """Yield (file, text) of each category's page. Isolated recordings are listed without a picture.
 
-    Args:
-        info: content of benchmark.json.
-        settings: the benchmark's settings.
-        targets: every pair.
-        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
+    Without the release's folder, `NO_PICTURE` stands for each picture.
 
     Raises:
         PairError: a pair is damaged.

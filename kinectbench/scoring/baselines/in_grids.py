@@ -141,12 +141,8 @@ def counted_baselines(
 ) -> list[ScoreTable]:
     """Return the tables of the named baselines, in the order of `names`.
 
-    Args:
-        release: the release that is predicted.
-        names: baselines that the release allows (`possible_baselines`).
-        counting: how pairs are counted; surface metrics are computed on the test split only.
-        request: gives the threshold file, processes and progress. Without a threshold file, thresholds are
-            chosen per baseline on the validation split, or are 0.5 if it has no pairs.
+    Surface metrics are computed on the test split only. Without a threshold file in the request, thresholds
+    are chosen per baseline on the validation split, or are 0.5 if it has no pairs.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.

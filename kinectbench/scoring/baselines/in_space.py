@@ -33,12 +33,8 @@ def space_baselines(
 ) -> list[ScoreTable]:
     """Return the tables of the named baselines, in this order, except baselines in `WITHOUT_SURFACE`.
 
-    Args:
-        release: the release that is predicted.
-        names: baselines that the release allows (`possible_baselines`).
-        protocols: camera, aligned or both.
-        request: gives the threshold file, processes and progress. Without a threshold file, thresholds are
-            chosen per baseline on the validation split, or are 0.5 if it has no pairs.
+    Without a threshold file in the request, thresholds are chosen per baseline on the validation split, or
+    are 0.5 if it has no pairs.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
@@ -81,12 +77,7 @@ def thresholds_of_baselines(
 ) -> dict[str, Thresholds]:
     """Return {baseline: its thresholds, chosen on its predictions for all validation pairs}.
 
-    Args:
-        release: the release that is predicted.
-        names: baselines that the release allows (`possible_baselines`).
-        rates: as `base_rates` returns them.
-        jobs: number of processes.
-        upsampling: "half-pixel" or "corner-aligned".
+    `rates` are as `base_rates` returns them.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.

@@ -40,13 +40,7 @@ def reusable_tables(
 
     A table is valid if release, settings, and the versions of `score` and of the baselines are unchanged, and
     its thresholds are from no file. A few of its rows are computed again as a check, and must be equal.
-
-    Args:
-        folders: {baseline: folder of its table}.
-        release: the release that is scored.
-        scoring: how baselines are scored now.
-        jobs: number of processes.
-        for_comparison: whether `comparison_baselines` stored the tables.
+    `for_comparison` tells whether `comparison_baselines` stored them.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.

@@ -112,11 +112,8 @@ def _entries(
 ) -> Iterator[tuple[Path, bool]]:
     """Yield (path, whether it is a plain file) for everything in a folder and below it, sorted.
 
-    Args:
-        folder: the folder to list.
-        above: the folders that contain it, by device and inode.
-        follow_links: whether to follow links.
-        links: yields one item for each link to a folder that may still be followed.
+    `above` are the folders that contain it, by device and inode; `links` yields one item for each link to a
+    folder that may still be followed.
     """
     status = folder.stat()
     identity = status.st_dev, status.st_ino

@@ -161,11 +161,7 @@ def measure(
 ) -> Registration:
     """Measure the quality of a registration at given poses, without moving the frame.
 
-    Args:
-        source: the frame.
-        targets: one or more other frames.
-        T_targets_source: (4, 4) for each target.
-        every: stride of the points used.
+    There is a transform (4, 4) for each target.
     """
     exposures = [NO_EXPOSURE_CHANGE] * len(targets)
     terms = _linearised(source, targets, T_targets_source, exposures, 0, every)

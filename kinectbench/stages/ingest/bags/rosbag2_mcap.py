@@ -87,12 +87,7 @@ class _Walk:
     ) -> bool:
         """Take the records from `start` to `end`; return whether there was a footer.
 
-        Args:
-            file: the file, or the unpacked chunk.
-            start: position of the first record in it.
-            end: end of the last record.
-            chunk: position of the unpacked chunk's record; -1: `file` is the file itself.
-            nested: whether the records are inside a chunk.
+        `chunk` is the position of the unpacked chunk's record; -1: `file` is the file itself.
         """
         position = start
         while position + RECORD.size <= end:

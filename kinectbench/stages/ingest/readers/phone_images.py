@@ -98,11 +98,7 @@ def confidence_beside(
 ) -> tuple[tuple[Path | None, ...], int, tuple[str, ...]]:
     """Find the images in confidence/ beside depth/, named as those of depth.
 
-    Args:
-        path: the recording's folder.
-        files: the frames.
-        size_px: width and height of the depth images; confidence of another size is not used.
-        least: `min_confidence`, for the warning.
+    Confidence of another size than depth's is not used.
 
     Returns:
         `confidence` and `full_confidence` of `ConfidenceRecording` (no files if none is used), and warnings.

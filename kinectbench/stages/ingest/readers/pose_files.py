@@ -57,11 +57,7 @@ def named_poses(
 ) -> tuple[GivenTrajectory | None, list[str]]:
     """Read poses from pose.txt, or under the names of the frames in a file, if there are no others.
 
-    Args:
-        path: the recording's folder.
-        beside: its visible files, at least its texts and JSON files.
-        stamps_ns: stamps of the frames, strictly increasing.
-        stems: names of the depth images without suffix.
+    `beside` are at least the visible texts and JSON files. Stamps increase strictly; stems have no suffix.
 
     Returns:
         The trajectory (None if there are no such poses), and warnings.
