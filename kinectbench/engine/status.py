@@ -11,7 +11,7 @@ from pydantic import Field
 
 from kinectbench.core import KILLED, StorageError
 from kinectbench.core.artefacts.manifest import Failed
-from kinectbench.core.artefacts.stored import StoredPart
+from kinectbench.core.artefacts.stored import StoredPart, optional
 from kinectbench.core.store.address import url_of
 from kinectbench.core.store.store import StoredObject, in_parallel
 from kinectbench.engine.artefact import whole_manifest
@@ -82,9 +82,7 @@ class RecordingStatus(StoredPart):
     )
     current: tuple[str, ...] = Field(description="stages that are up to date")
     next: str | None = Field(description="the first stage that is not up to date; null: there is none")
-    differs: str | None = Field(
-        default=None, description="the first setting of `next` that has changed since the stage was made"
-    )
+    differs: str | None = optional("the first setting of `next` that has changed since the stage was made")
     error: str | None = Field(description="why the last run failed")
     code: str | None = Field(description="code of this error")
 
