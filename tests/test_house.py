@@ -124,7 +124,7 @@ RAW = {
     "core/untrusted_text.py": "the functions themselves",
     "core/voxels/npz.py": "the functions themselves",
     "core/voxels/pair_file.py": "owner of the pair file",
-    "scoring/shards.py": "samples of WebDataset shards, which others may have written",
+    "scoring/dataset.py": "samples of WebDataset shards, which others may have written",
     "engine/cluster.py": "the file of a Dask scheduler",
     "core/voxels/recgan_file.py": "files of the 3D-RecGAN authors",
     "cli/": "tables that are printed",

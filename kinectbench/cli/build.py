@@ -86,13 +86,9 @@ def run_stage(common: Common, name: str, ids: list[str] | None, executor: "Execu
         rows = build_jobs(
             chosen,
             upto,
-            common.workers,
+            common,
             force,
-            wait=common.wait,
-            limit_s=common.time_limit,
             executor=executor,
-            verbose=common.verbose,
-            options=common.options,
             # With --json, or for more recordings, the warnings of current artefacts are not repeated.
             again=name == "build" and not common.as_json and len(chosen) <= SHOWN_RECORDINGS,
         )
@@ -209,17 +205,7 @@ def build_recordings(
     chosen = chosen_jobs(common, ids)
     if brief:
         _tell_changed_settings(chosen, upto)
-    return build_jobs(
-        chosen,
-        upto,
-        common.workers,
-        force,
-        wait=common.wait,
-        brief=brief,
-        verbose=common.verbose,
-        options=common.options,
-        warn=warn,
-    )
+    return build_jobs(chosen, upto, common, force, brief=brief, warn=warn)
 
 
 def _tell_changed_settings(chosen: "Sequence[Job]", upto: str) -> None:
@@ -241,37 +227,32 @@ def _tell_changed_settings(chosen: "Sequence[Job]", upto: str) -> None:
 def build_jobs(
     chosen: "Sequence[Job]",
     upto: str,
-    processes: int,
+    common: Common,
     force: Sequence[str] = (),
     *,
-    wait: bool = True,
     brief: bool = False,
-    limit_s: float | None = None,
     executor: "Executor | None" = None,
-    verbose: bool = False,
-    options: Sequence[str] = (),
     again: bool = False,
     warn: bool = True,
 ) -> "list[BuiltRecording]":
-    """Build jobs with some processes or an executor; print and return the results of `build_recordings`.
+    """Build jobs with the shared options, in processes or an executor; return what `build_recordings` does.
 
-    A recording may take `limit_s` seconds. With `again`, warnings of stages that were current are printed,
-    too; without `warn`, no stage's are. The printed advice includes a command that shows all warnings;
-    `options` (`--config`, `--set`) give it the same settings.
+    With `again`, warnings of stages that were current are printed, too; without `warn`, no stage's are. The
+    printed advice includes a command that shows all warnings, with the same settings.
     """
     from kinectbench.engine.parallel import build as build_all
     from kinectbench.engine.summary import BuiltRecording
 
-    slots = executor.slots if executor else lambda: min(processes, len(chosen))
+    slots = executor.slots if executor else lambda: min(common.workers, len(chosen))
     with recording_bars(len(chosen), slots) as watcher:
         outcomes = build_all(
             chosen,
             upto,
             force,
-            processes,
+            common.workers,
             watcher,
-            wait_for_others=wait,
-            limit_s=limit_s,
+            wait_for_others=common.wait,
+            limit_s=common.time_limit,
             executor=executor,
         )
     rows, failed = list[BuiltRecording](), 0
@@ -285,11 +266,12 @@ def build_jobs(
         failed += row.error is not None
         if row.error is not None and failed > console.MOST_LINES:
             continue
-        stated = warn and (row.made or verbose or again)
+        stated = warn and (row.made or common.verbose or again)
         own = row.summary.warnings if stated else (*outcome.warnings, *unused)
-        first = row.summary.first if len(own) > 1 and not verbose else None
-        tell_warnings(name, own, first, shlex.join([*COMMANDS.get(upto, (upto,)), name, *options, "-v"]))
-        code = f" ({outcome.code})" if verbose and outcome.code else ""
+        first = row.summary.first if len(own) > 1 and not common.verbose else None
+        command = shlex.join([*COMMANDS.get(upto, (upto,)), name, *common.options, "-v"])
+        tell_warnings(name, own, first, command)
+        code = f" ({outcome.code})" if common.verbose and outcome.code else ""
         reason = STILL_FAILS.format(id=name) if brief and outcome.repeated else row.error
         console.recording_lines(name, "error", [f"{reason}{code}"] if reason else [], "red")
     if (more := failed - console.MOST_LINES) > 0:

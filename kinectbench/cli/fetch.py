@@ -143,8 +143,7 @@ def verify_command(
         typer.Option(min=1, help="with --rebuild: so many objects, drawn by its hash; default: all"),
     ] = None,
     checksums: Annotated[
-        bool,
-        typer.Option("--checksums", help="the bytes alone: every file is the published one"),
+        bool, typer.Option("--checksums", help="the bytes alone: every file is the published one")
     ] = False,
     work: Annotated[
         Path | None, typer.Option(help="with --rebuild: build here and keep it; default: a temporary folder")
@@ -208,5 +207,5 @@ def _rebuild(
         console.lines("note", plan.notes, "yellow")
         root = work or stack.enter_context(scratch_folder())
         chosen = [Job(plan.settings, recording, root) for recording in plan.settings.recordings]
-        build_jobs(chosen, "pairs", processes)
+        build_jobs(chosen, "pairs", Common(jobs=processes))
         return list(differences(contents, plan, root / "build"))

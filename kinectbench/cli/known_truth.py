@@ -164,7 +164,7 @@ def evaluate_command(
     from kinectbench.lab.evaluate.table import evaluation_table
 
     build = find_built(recording, truth, common.config, common.overrides or ())
-    rows = build_jobs([build.job], "pairs", 1) if build.job else []
+    rows = build_jobs([build.job], "pairs", Common(jobs=1)) if build.job else []
     status = exit_status(rows)
     if status and not (build.build / "sequence").is_dir():
         return status

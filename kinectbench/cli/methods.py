@@ -190,10 +190,7 @@ def _score(
     with progress_bar("gallery") as progress:
         # The few views that a page shows are predicted again: all predictions would not fit in memory.
         cells = loaded_cells(
-            release,
-            lambda target: as_written(trained, release, run, target),
-            table,
-            progress=progress,
+            release, lambda target: as_written(trained, release, run, target), table, progress=progress
         )
     write_gallery(cells, folder / SCORES_JSON)
     beside = baselines_of(release, folder, [table], HALF_PIXEL, common.workers)

@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinectbench.cli import console
-from kinectbench.cli.build import (
-    build_recordings,
-    chosen_jobs,
-    exit_status,
-    need_some,
-)
+from kinectbench.cli.build import build_recordings, chosen_jobs, exit_status, need_some
 from kinectbench.cli.build_warnings import tell_unknown_categories, tell_warnings
 from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
 from kinectbench.cli.progress_bars import progress_bar
@@ -42,8 +37,7 @@ def publish_command(
         Path | None, typer.Option(help="a threshold file (of score --save-thresholds) to publish with it")
     ] = None,
     isolate: Annotated[
-        bool,
-        typer.Option("--isolate", help="with --hold-back: of each object one view and nothing else"),
+        bool, typer.Option("--isolate", help="with --hold-back: of each object one view and nothing else")
     ] = False,
     allow_poor: Annotated[
         bool, typer.Option("--allow-poor", help="publish recordings that do not keep `publish.gate`, too")
@@ -337,10 +331,4 @@ def _put_value(url: str, put: "PutSummary") -> dict[str, object]:
     """Return the upload as JSON values: URL, numbers of files, and the replaced release."""
     keys = ("name", "version", "benchmark_sha256")
     replaced = None if put.replaced is None else {key: getattr(put.replaced, key) for key in keys}
-    return {
-        "url": shown(url),
-        "put": put.put,
-        "kept": put.kept,
-        "removed": put.removed,
-        "replaced": replaced,
-    }
+    return {"url": shown(url), "put": put.put, "kept": put.kept, "removed": put.removed, "replaced": replaced}

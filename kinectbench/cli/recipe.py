@@ -114,7 +114,7 @@ def _built(common: Common, recipe: "Recipe", row: "FetchedScan") -> "FetchedScan
     recipe.add_to_benchmark([row.scan])
     settings, build = load_benchmark(recipe.out / BENCHMARK), recipe.out / "build" / row.scan.id
     job = Job(settings, settings.by_id()[row.scan.id], recipe.out)
-    (built,) = build_jobs([job], "pairs", common.workers)
+    (built,) = build_jobs([job], "pairs", Common(jobs=common.workers))
     slim(build)
     keep_failed_source(build)
     error = None if built.error is None else f"{row.scan.id}: not built: {built.error}"

@@ -102,9 +102,6 @@ def write_page(
         out: the page's path; None: index.html in the folder of scores.
         baselines: whether baselines are shown.
         ids: the recordings to show of the build; None: all.
-
-    Returns:
-        The page's path.
     """
     from kinectbench.report.run import page_of_benchmark, page_of_release
 

@@ -146,11 +146,7 @@ def tell_scores(
 
 
 def _recheck(
-    common: Common,
-    context: typer.Context,
-    scores: Path,
-    predictions: Path | None,
-    thresholds: Path | None,
+    common: Common, context: typer.Context, scores: Path, predictions: Path | None, thresholds: Path | None
 ) -> int:
     """Do the work of `score --recheck`: score again with the settings in `scores`, and print differences.
 
@@ -178,12 +174,7 @@ def _recheck(
     release, rows = find_release(common)
     with progress_bar("recheck") as progress:
         differences = recheck(
-            release,
-            paths[0],
-            predictions,
-            thresholds_file=thresholds,
-            jobs=common.workers,
-            progress=progress,
+            release, paths[0], predictions, thresholds_file=thresholds, jobs=common.workers, progress=progress
         )
     table = read_table(paths[0])
     shown = differences[:SHOWN_FAILURES]

@@ -128,18 +128,11 @@ def _as_stated(standing: str) -> str:
 
 
 def _add_published(
-    table: "WideTable",
-    protocols: Sequence[str],
-    columns: Sequence[str],
-    published: Sequence[PublishedTable],
+    table: "WideTable", protocols: Sequence[str], columns: Sequence[str], published: Sequence[PublishedTable]
 ) -> None:
     """Add rows with the results printed in the paper, and a note that other rows are not comparable.
 
-    Args:
-        table: the table that gets the rows.
-        protocols: the protocol of each group of columns; cells of a group with "" stay empty.
-        columns: the categories, which are the columns of each group.
-        published: the paper's tables.
+    Cells of a group of columns with the protocol "" stay empty.
     """
     table.add_section()
     signs = "†‡§¶"

@@ -26,20 +26,12 @@ class WideTable(Table):
     """
 
     def __init__(
-        self,
-        *,
-        keep: int = 1,
-        title: str | None = None,
-        caption: str | None = None,
-        whole: bool = False,
+        self, *, keep: int = 1, title: str | None = None, caption: str | None = None, whole: bool = False
     ) -> None:
         """Make an empty table.
 
-        Args:
-            keep: number of leading columns that every piece repeats.
-            title: title above the first piece.
-            caption: caption below the last piece.
-            whole: whether cells are wrapped instead of shortened, so that ids can be copied.
+        Every piece repeats `keep` leading columns. With `whole`, cells are wrapped instead of shortened, so
+        that ids can be copied.
         """
         super().__init__(title=title, caption=caption)
         self.keep, self.whole = keep, whole

@@ -30,9 +30,6 @@ def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
     The pixels and the segments in `KEPT_SEGMENTS` (JFIF, colour profile, Adobe) are unchanged. Phones append
     a second picture or a film, which has metadata of its own.
 
-    Args:
-        data: bytes of the file.
-
     Returns:
         The bytes without metadata, and the names of the removed parts, such as "EXIF (GPS position)".
 

@@ -3,15 +3,13 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-from kinectbench.core.even_choice import evenly
 from kinectbench.core.untrusted import STEERING
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-T = TypeVar("T")
 # A page shows up to this many recordings in full; of more recordings, this many: two to four MB.
 SHOWN = 24
 # Rows shown at a time: one to three screens, which a browser lays out at once.
@@ -54,11 +52,6 @@ class Listing:
         """All rows as JSON for the script; untrusted text cannot end the script element."""
         rows = [[STEERING.sub("?", cell) for cell in row] for row in self.rows]
         return inert_json({"size": PAGE_ROWS, "links": dict(self.links), "rows": rows})
-
-
-def spread(items: Sequence[T], most: int) -> list[T]:
-    """Return at most `most` of the items, evenly spaced from the first to the last."""
-    return [items[index] for index in evenly(len(items), most)]
 
 
 def inert_json(content: object) -> "Markup":

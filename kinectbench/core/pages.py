@@ -17,11 +17,8 @@ def render_page(template: str, shown: Mapping[str, object]) -> str:
     """Render a page from a template: HTML text, the same for the same input.
 
     All text is escaped and control characters become `?`, because names and reasons are untrusted. Files of
-    the package, which templates include by `packaged("core/page.css")`, are inserted unchanged.
-
-    Args:
-        template: path of the page's template below the package, such as "doctor/page.html".
-        shown: the template's variables; a missing variable is an error.
+    the package, which templates include by `packaged("core/page.css")`, are inserted unchanged. The
+    template's path is relative to the package; a missing variable is an error.
     """
     return environment().get_template(template).render(shown)
 

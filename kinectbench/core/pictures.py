@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from kinectbench.core.geometry import TriangleMesh, isosurface, raycaster
 from kinectbench.core.images import shrunk
@@ -61,10 +62,7 @@ def look_along(forward: Float64, up: Float64) -> Float64:
 def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08) -> Viewpoint:
     """Return the viewpoint that has this orientation and just shows all points.
 
-    Args:
-        points_m: (n, 3), n > 0.
-        R_frame_view: orientation, as in `Viewpoint`.
-        margin: edge of the picture, as a multiple of the larger extent of the points in it.
+    The picture's edge is `margin` times the larger extent of the points (n, 3), n > 0, in it.
     """
     points_view = points_m @ R_frame_view
     low, high = points_view.min(axis=0), points_view.max(axis=0)
@@ -133,11 +131,7 @@ def render_pieces(
 ) -> Rgb:
     """Render shaded meshes, each in its colour, on plain paper: (size_px, size_px, 3) uint8 RGB.
 
-    Args:
-        pieces: meshes and their colours.
-        viewpoint: the projection.
-        size_px: edge of the picture.
-        contrast: contrast of the shading, 0 to 1; with less, colours in the shade are easier to distinguish.
+    With less `contrast`, 0 to 1, colours in the shade are easier to distinguish.
     """
     shown = [piece for piece in pieces if len(piece[0].faces)]
     if not shown:
@@ -189,14 +183,9 @@ def block_density(packed: NDArray[np.uint8]) -> Float32:
 
 def blurred_density(density: Float32) -> Float32:
     """Blur a grid (nx, ny, nz) by (1, 2, 1) / 4 along each axis, so that its isosurface is smooth."""
-    result = np.pad(density, 1)
     for axis in range(3):
-        moved = np.moveaxis(result, axis, 0)
-        blurred = moved * np.float32(0.5)
-        blurred[1:] += moved[:-1] * np.float32(0.25)
-        blurred[:-1] += moved[1:] * np.float32(0.25)
-        result = np.moveaxis(blurred, 0, axis)
-    return result[1:-1, 1:-1, 1:-1]
+        density = ndimage.correlate1d(density, [0.25, 0.5, 0.25], axis, mode="constant")
+    return density
 
 
 def new_figure(
@@ -204,12 +193,8 @@ def new_figure(
 ) -> "Figure":
     """Make an empty figure for a plot.
 
-    Args:
-        width_in: width, inches.
-        height_in: height, inches.
-        paper: background colour.
-        margins: left, bottom, right and top, as fractions of the figure; None: as the labels need, which
-            doubles the drawing time.
+    Sizes are in inches; left, bottom, right and top margin are fractions of the figure. None: as the labels
+    need, which doubles the drawing time.
     """
     # Without pyplot there is no global state, and no display is needed.
     from matplotlib.figure import Figure

@@ -139,12 +139,7 @@ def stored_bgr(data: bytes, index: int) -> NDArray[np.uint8]:
 
 
 def depth_in_metres(native: NDArray[np.uint16], depth_scale: float) -> Float32:
-    """Convert depth of any shape from native units to metres, float32; 0 stays 0.
-
-    Args:
-        native: depth as recorded.
-        depth_scale: native units per metre.
-    """
+    """Convert depth of any shape from native units, `depth_scale` a metre, to float32 metres; 0 stays 0."""
     return native.astype(np.float32) / np.float32(depth_scale)
 
 

@@ -31,9 +31,7 @@ _half_filled: set[Path] = set()
 def name_problem(name: str, also: str = "") -> str | None:
     """Return why a recording, object or method cannot have this name, in a few words; None if it can.
 
-    Args:
-        name: the name as somebody wrote it.
-        also: characters that are accepted besides those of `NAME`, but not as the first.
+    Characters in `also` are accepted besides those of `NAME`, but not as the first.
     """
     plain = "".join("-" if sign in also and place else sign for place, sign in enumerate(name))
     if not NAME.fullmatch(plain):

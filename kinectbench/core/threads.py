@@ -39,11 +39,7 @@ def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator
     """Yield the function's results in order, while threads compute the next results.
 
     At most `threads + 1` results wait to be yielded, which bounds memory. An error of the function or of the
-    iterator is raised where its result would be yielded.
-
-    Args:
-        function: its result depends only on the item.
-        items: the arguments, one for each call.
+    iterator is raised where its result would be yielded. The function's result depends only on the item.
     """
     threads = _threads.get()
     if threads == 1:

@@ -72,10 +72,6 @@ def size_of(file: IO[bytes]) -> int:
 def scanned(folder: Path, most: int = MOST_LISTED) -> Iterator["os.DirEntry[str]"]:
     """Yield the entries of a folder one at a time, unordered, so that many names cannot fill the memory.
 
-    Args:
-        folder: a folder.
-        most: largest number of files and folders in it.
-
     Raises:
         OSError: the folder cannot be read; EFBIG: it holds more than `most`.
     """
@@ -89,24 +85,16 @@ def scanned(folder: Path, most: int = MOST_LISTED) -> Iterator["os.DirEntry[str]
 def listed_paths(
     folder: Path, most: int = MOST_LISTED, wanted: Callable[[str], object] | None = None
 ) -> Iterator[Path]:
-    """Yield the paths of a folder's entries; see `scanned`.
+    """Yield the paths of a folder's entries whose names are `wanted`; see `scanned`.
 
-    Args:
-        folder: a folder.
-        most: largest number of files and folders in it.
-        wanted: filter of names; filtering before paths are made takes a third of the time.
+    Filtering before paths are made takes a third of the time.
     """
     names = (entry.name for entry in scanned(folder, most))
     return (folder / name for name in names if wanted is None or wanted(name))
 
 
 def listed_below(folder: Path, most: int = MOST_LISTED, *, with_empty: bool = False) -> Iterator[Path]:
-    """Yield every file and link in a folder and below it, unordered; links are not followed.
-
-    Args:
-        folder: a folder.
-        most: largest number of files and folders in it and below.
-        with_empty: whether to yield empty folders, too.
+    """Yield every file, link and, `with_empty`, empty folder below a folder, unordered; follow no links.
 
     Raises:
         OSError: a folder cannot be read; EFBIG: there is more than `most`.
@@ -125,11 +113,7 @@ def listed_below(folder: Path, most: int = MOST_LISTED, *, with_empty: bool = Fa
 
 
 def read_plain(path: Path, most_bytes: int) -> bytes:
-    """Read the bytes of a regular file.
-
-    Args:
-        path: the file.
-        most_bytes: a larger file is refused before it is read.
+    """Read the bytes of a regular file; a file larger than `most_bytes` is refused before it is read.
 
     Raises:
         OSError: as `open_plain`; EFBIG: the file is larger.
@@ -194,11 +178,6 @@ def decoded(content: bytes, most_bytes: int, where: str) -> str:
 
     One character that takes two or four bytes makes every character of a text that wide (PEP 393).
 
-    Args:
-        content: UTF-8 bytes.
-        most_bytes: largest size of the text in memory.
-        where: name of the file, for the error.
-
     Raises:
         OSError: EFBIG: the text takes more memory.
         UnicodeDecodeError: the bytes are not UTF-8.
@@ -217,9 +196,7 @@ _WIDTHS = ((4, re.compile(rb"[\xf0-\xff]")), (2, re.compile(rb"[\xc4-\xff]")))
 def below(folder: Path, name: str) -> Path:
     """Join an untrusted name, such as one from an index file, to a folder; refuse a name that leads outside.
 
-    Args:
-        folder: the folder that the name is relative to.
-        name: relative path with "/" between folders.
+    The name is relative to the folder, with "/" between folders.
 
     Raises:
         ValueError: the name is absolute, leads upwards, is hidden, or is no name; the message says which.

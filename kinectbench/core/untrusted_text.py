@@ -61,12 +61,7 @@ def parsed_json(text: str, *, constants: bool, most_values: int = MOST_VALUES) -
 
 
 def long_text(text: str, most: int) -> str | None:
-    """Return a line on a text or key of more than `most` characters in JSON; None if there is none.
-
-    Args:
-        text: JSON, known to be well formed.
-        most: largest number of characters.
-    """
+    """Return a line on a text or key of over `most` characters in well-formed JSON; None if there is none."""
     if not (_runs_without_quote(text, most) or '\\"' in text):
         return None
     key, end = "", 0

@@ -159,12 +159,7 @@ def _jumps(z: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _at_zoom(parts: Sequence[_Edges], zoom: float) -> Float64:
-    """Return a table of the scores of colour, reduced by `zoom`, at all shifts; shift 0 is in its middle.
-
-    Args:
-        parts: edges of both directions of all frames.
-        zoom: size of objects in colour, relative to depth.
-    """
+    """Return a table of the scores of colour, reduced by `zoom`, at all shifts; shift 0 is in its middle."""
     height, width = parts[0].color.shape
     middle = np.array([(width - 1) / 2, (height - 1) / 2])
     reduce = np.column_stack([zoom * np.eye(2), (1 - zoom) * middle])

@@ -21,11 +21,7 @@ CLEAR = 5.0
 # It is an error if the best score is this many times the unchanged (unmirrored) score; chosen by hand.
 MUCH_BETTER, MIRROR_BETTER = 1.25, 1.5
 # How one of the two images may lie against the other, and what brings colour onto depth: rows and columns.
-FLIPS = {
-    "mirrored left to right": (1, -1),
-    "mirrored top to bottom": (-1, 1),
-    "turned upside down": (-1, -1),
-}
+FLIPS = {"mirrored left to right": (1, -1), "mirrored top to bottom": (-1, 1), "turned upside down": (-1, -1)}
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.even_choice import evenly
-from kinectbench.core.geometry import (
-    Camera,
-    depth_sigma_m,
-    image_normals,
-    invert_rigid,
-)
+from kinectbench.core.geometry import Camera, depth_sigma_m, image_normals, invert_rigid
 from kinectbench.core.trajectory.coverage import in_order_of_time
 from kinectbench.core.trajectory.pose_convention import AXES, PoseConvention
 from kinectbench.core.types import Float64
@@ -126,12 +121,7 @@ def _beside(first: int, poses: Float64) -> list[int]:
 
 
 def fits(residual_m: float, pairs: Sequence[FramePair]) -> bool:
-    """Return whether a residual is small enough, compared with depth noise, for the poses to fit.
-
-    Args:
-        residual_m: the result of `pair_residual_m`, metres.
-        pairs: the pairs that it was computed from.
-    """
+    """Whether `pair_residual_m` of these pairs is small enough, beside depth noise, for poses to fit."""
     distance_m = float(np.median(np.concatenate([pair.points[:, 2] for pair in pairs])))
     noise_m = np.sqrt(2) * depth_sigma_m(distance_m)
     return bool(residual_m <= min(FITTING_NOISES * noise_m, MOST_FITTING_M))

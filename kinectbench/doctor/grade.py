@@ -33,13 +33,8 @@ def check_grade(
     """Grade a given trajectory by the stage `track`, on at most 150 frames.
 
     Report a grade that is not good, a recommended trajectory mode other than `trust`, or that the trajectory
-    could not be graded.
-
-    Args:
-        probe: the probe of a recording whose given trajectory can be read.
-        tracking: settings that define when poses disagree with depth.
-        mode: the trajectory mode of the build. Poses to be refined are graded as given; the build grades them
-            after refinement.
+    could not be graded. Poses to be refined, by the build's trajectory mode, are graded as given; the build
+    grades them after refinement.
     """
     count = len(probe.recording)
     every = count <= MOST_FRAMES

@@ -12,13 +12,7 @@ from kinectbench.core.trajectory.pose_convention import PoseConvention
 from kinectbench.doctor.covered import covered
 from kinectbench.doctor.delays import ASSUMED_HZ, LEAST_NS, clock_ns, offset_in_words
 from kinectbench.doctor.finding import Finding, camera_line
-from kinectbench.doctor.fit import (
-    FramePair,
-    disagreements,
-    fits,
-    frames_of,
-    pair_residual_m,
-)
+from kinectbench.doctor.fit import FramePair, disagreements, fits, frames_of, pair_residual_m
 from kinectbench.doctor.probe import Probe
 
 # Lags up to half a second either way, enough for clocks that were synchronised over the network.

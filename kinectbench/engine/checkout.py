@@ -207,10 +207,7 @@ def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None, list[StoredO
 def newest_there(job: Job, stage: str, built: Sequence[StoredObject]) -> Manifest | None:
     """Return the manifest of a stage's latest stored artefact; None if there is no readable one.
 
-    Args:
-        job: the recording.
-        stage: name of the stage.
-        built: files of the store below `build/<recording>/`.
+    `built` are the files of the store below `build/<recording>/`.
     """
     store = store_of(job)
     made = [each for each in built if PurePosixPath(each.name).match(f"{stage}/*/{Manifest.FILE}")]

@@ -158,13 +158,10 @@ class DrawnMasks:
         )
 
     def check_frames(self, sequence: Sequence) -> Self:
-        """Refuse masks named by frames if the frame is missing or its depth image has changed.
+        """Refuse masks of frames that are missing or have other depth; return the masks with new entries.
 
         If `of_recorded`, also refuse masks drawn on pictures that differ from the recorded frames. Masks
         without an entry get one: there was no build when they were drawn.
-
-        Returns:
-            The masks with the new entries.
 
         Raises:
             SettingsError: there are such masks; the line says what to do.
@@ -188,18 +185,11 @@ class DrawnMasks:
         )
 
     def check_views(self, sequence: Sequence, views: Path) -> Self:
-        """Refuse masks that were drawn on other frames or pictures than the views now have.
+        """Refuse masks drawn on other frames or pictures than the views have; return them with new entries.
 
         Masks drawn on recorded frames (`of_recorded`) are not checked here. A mask named by a frame is
         compared with the view that shows this frame, if any. If masks.json has no digest of a mask's picture
         yet, the digest of the view's picture is recorded.
-
-        Args:
-            sequence: the recording.
-            views: the folder of the recording's views, just made.
-
-        Returns:
-            The masks with the new entries.
 
         Raises:
             SettingsError: there are such masks; the line says what to do.

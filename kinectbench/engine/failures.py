@@ -41,11 +41,7 @@ def would_fail_again(failed: Failed) -> bool:
 
 
 def failed_before(build: Path, artefact: Artefact) -> Failed | None:
-    """Return the stored failure if making the artefact would fail again: same stage, same inputs.
-
-    Args:
-        build: `build/<recording>/`.
-        artefact: the artefact to be made.
+    """Return the failure in `build/<recording>/` if the artefact would fail again: same stage, same inputs.
 
     Returns:
         The stored failure; None if the stage should run.

@@ -49,10 +49,7 @@ def keep_freed_memory() -> None:
 def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> object:
     """Run a pickled task on this worker.
 
-    Args:
-        packed: the function and the task, pickled.
-        topic: topic of the task's messages to the client.
-        versions: versions of the client's packages.
+    `packed` is (function, task), `topic` that of messages to the client, whose packages have `versions`.
 
     Raises:
         ClusterError: this worker's packages have other versions.

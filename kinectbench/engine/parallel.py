@@ -1,6 +1,6 @@
 """Build many recordings, several at a time; a failed or killed recording does not stop the others."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,13 +16,7 @@ from kinectbench.engine.executor import Executor, Pool, SendMessage, SerialExecu
 from kinectbench.engine.pipeline import Outcome
 from kinectbench.engine.scratch import clear_scratch
 from kinectbench.engine.stages import Job
-from kinectbench.engine.status import (
-    build_at_its_place,
-    clear_away,
-    for_elsewhere,
-    keep_killed,
-    waits_for_others,
-)
+from kinectbench.engine.status import builder_of, clear_away, for_elsewhere, keep_killed, waits_for_others
 from kinectbench.engine.time_limit import watched
 
 # Most threads of one recording; each thread holds a pair in memory. Peak of `pairs` on 92 frames of a phone:
@@ -67,10 +61,6 @@ class _Nobody:
     def warn(self, message: str) -> None: ...
 
 
-# `build_at_its_place` with all arguments except the job and the progress callback.
-BuildOne = Callable[..., Outcome]
-
-
 def build(
     jobs: Sequence[Job],
     upto: str = "pairs",
@@ -106,14 +96,12 @@ def build(
         ClusterError: the executor has become unusable; finished work is kept.
     """
     outcomes = _Outcomes(watcher or _Nobody())
-    build_one = partial(
-        build_at_its_place, upto=upto, force=tuple(force), wait=wait_for_others, limit_s=limit_s
-    )
+    options = {"upto": upto, "force": tuple(force), "wait": wait_for_others, "limit_s": limit_s}
     alone = executor is None and (workers <= 1 or len(jobs) <= 1)
     tasks = [job.alone if executor is None else for_elsewhere(job.alone) for job in jobs]
     where = executor or (SerialExecutor() if alone else Pool(min(workers, len(jobs))))
     results = where.outcomes(
-        partial(_build if alone or limit_s is None else _build_watched, build_one),
+        partial(_build if alone or limit_s is None else _build_watched, options),
         tasks,
         outcomes,
         expected_gb,
@@ -132,18 +120,18 @@ def build(
     return [outcomes.by_id[job.recording.id] for job in jobs]
 
 
-def _build_watched(build_one: BuildOne, job: Job, say: SendMessage) -> Outcome | WorkerLost:
-    """Call `build_one` in a worker, and send progress by `say`; if the build hangs, the process ends."""
-    return watched(lambda hung: _build(partial(build_one, hung=hung), job, say))
+def _build_watched(options: dict[str, object], job: Job, say: SendMessage) -> Outcome | WorkerLost:
+    """Build as `_build` does, in a worker; if the build hangs, the process ends."""
+    return watched(lambda hung: _build({**options, "hung": hung}, job, say))
 
 
-def _build(build_one: BuildOne, job: Job, say: SendMessage) -> Outcome:
-    """Call `build_one`, and send the recording's progress to the parent process by `say`."""
+def _build(options: dict[str, object], job: Job, say: SendMessage) -> Outcome:
+    """Build a recording, and send its progress to the parent process by `say`."""
 
     def report(stage: str, done: int, total: int) -> None:
         say((job.recording.id, stage, done, total))
 
-    return build_one(job, progress=report)
+    return builder_of(job)(job, progress=report, **options)
 
 
 @dataclass(frozen=True)

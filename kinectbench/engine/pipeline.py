@@ -27,7 +27,7 @@ from kinectbench.core.artefacts.object import (
     CandidatesFile,
     FrontierPart,
 )
-from kinectbench.core.artefacts.stored import StoredPart
+from kinectbench.core.artefacts.stored import StoredPart, optional
 from kinectbench.core.types import NamedProgress, no_progress
 from kinectbench.engine.artefact import Artefact, whole_manifest
 from kinectbench.engine.failures import failed_before, forget_failure, keep_failure
@@ -45,7 +45,7 @@ class RecordingSummary(StoredPart):
 
     recording: str = Field(description="id of the recording")
     frames: int | None = Field(description="number of frames")
-    damaged: int | None = Field(None, description="number of further frames that could not be read")
+    damaged: int | None = optional("number of further frames that could not be read")
     left_out: tuple[int, ...] | None = Field(description="frames whose depth disagrees with their given pose")
     lost: int | None = Field(description="number of other frames without a pose")
     source: str | None = Field(description="source of the poses: trust, refine or tracked")
@@ -57,8 +57,8 @@ class RecordingSummary(StoredPart):
     estimated_iou_low: float | None = Field(description=INTERVAL_LOW)
     estimated_iou_high: float | None = Field(description=INTERVAL_HIGH)
     estimated_iou_reasons: tuple[str, ...] | None = Field(description="what widens that interval")
-    rests_on_word: str | None = Field(
-        None, description="a warning if much of the solid rests on the user's `underside: closed`"
+    rests_on_word: str | None = optional(
+        "a warning if much of the solid rests on the user's `underside: closed`"
     )
     frontiers: tuple[FrontierPart, ...] | None = Field(description="openings that nobody looked into")
     views: int | None = Field(description="number of views")
@@ -69,8 +69,8 @@ class RecordingSummary(StoredPart):
         alias="residual_mm", description="distance of the points from the shape, median over the pairs, mm"
     )
     warnings: tuple[str, ...] = Field(description="warnings of all stages, one line each")
-    first: str | None = Field(None, description="the warning to deal with first")
-    left_out_of_release: str | None = Field(None, description="why `publish` would leave the recording out")
+    first: str | None = optional("the warning to deal with first")
+    left_out_of_release: str | None = optional("why `publish` would leave the recording out")
     status: str = Field(description="failed, in use, up to date, or the seconds it took")
     error: str | None = Field(description="why the recording failed")
     code: str | None = Field(description="code of this error")
@@ -240,23 +240,19 @@ def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
 
 
 def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
-    """Return the settings that differ from those of the artefacts on disk: {dotted key: (then, now)}.
+    """Return settings that differ from those of artefacts on disk up to a stage: {dotted key: (then, now)}.
 
     Artefacts of another version of their stage are not compared.
-
-    Args:
-        job: the recording, with its present settings.
-        upto: name of the last stage.
     """
     changed: dict[str, tuple[object, object]] = {}
     for stage in stages_upto(upto):
         manifest = whole_manifest(job.build / stage.folder)
         if manifest is not None and manifest.stage_version == stage.version:
-            changed |= _differences(manifest.settings, stage.settings(job))
+            changed |= differing_settings(manifest.settings, stage.settings(job))
     return changed
 
 
-def _differences(
+def differing_settings(
     then: Mapping[str, object], now: Mapping[str, object], above: str = ""
 ) -> dict[str, tuple[object, object]]:
     """Return settings that differ: {`above` + dotted key: (then, now)}; a missing value is "default"."""
@@ -264,7 +260,7 @@ def _differences(
     for key in {**then, **now}:
         old, new = then.get(key, "default"), now.get(key, "default")
         if isinstance(old, Mapping) and isinstance(new, Mapping):
-            found |= _differences(old, new, f"{above}{key}.")
+            found |= differing_settings(old, new, f"{above}{key}.")
         elif old != new:
             found[f"{above}{key}"] = (old, new)
     return found
@@ -299,11 +295,7 @@ def _artefact(
 
 
 def _make(
-    job: Job,
-    stage: Stage,
-    sources: Mapping[str, Source],
-    artefact: Artefact,
-    report: NamedProgress,
+    job: Job, stage: Stage, sources: Mapping[str, Source], artefact: Artefact, report: NamedProgress
 ) -> None:
     """Run a stage and write its artefact. The stage gets only inputs that are in its fingerprint."""
     from kinectbench.engine.steps import OVERTAKEN, STEPS

@@ -31,10 +31,7 @@ def worker_pool(
 ) -> Iterator[ProcessPoolExecutor]:
     """Yield a pool of spawned processes; if the block raises an exception, they are stopped at once.
 
-    Args:
-        workers: largest number of processes.
-        prepare: module-level function, called in each worker before its first task.
-        arguments: arguments of `prepare`.
+    `prepare` is a module-level function, called in each worker with `arguments` before its first task.
     """
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(

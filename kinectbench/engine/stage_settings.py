@@ -45,9 +45,7 @@ Needed = TypeVar("Needed", bound="StageSettings")
 def part_of(wanted: type[Section], section: Settings) -> Section:
     """Copy a section of benchmark.yaml into the model `wanted`, which has only some of the section's keys.
 
-    Args:
-        wanted: the model; fields that it excludes from JSON keep their defaults.
-        section: the whole section.
+    Fields that the model excludes from JSON keep their defaults.
     """
     kept = (name for name, field in wanted.model_fields.items() if not field.exclude)
     return wanted.model_validate({name: getattr(section, name) for name in kept})

@@ -301,11 +301,7 @@ def _other_inputs(job: Job, files: Sequence[Path]) -> set[Path]:
 
 
 # Makes each input from outside `build/`, by its name.
-SOURCES: Mapping[str, Callable[[Job], Source]] = {
-    RECORDING: _recording,
-    MASKS: _masks,
-    REFERENCE: _reference,
-}
+SOURCES: Mapping[str, Callable[[Job], Source]] = {RECORDING: _recording, MASKS: _masks, REFERENCE: _reference}
 
 STAGES: tuple[Stage, ...] = (
     Stage("ingest", "sequence", (), _ingest, lambda job: (RECORDING,)),

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -11,42 +11,28 @@ from pydantic import Field
 
 from kinectbench.core import KILLED, StorageError
 from kinectbench.core.artefacts.manifest import Failed
-from kinectbench.core.artefacts.stored import StoredPart
+from kinectbench.core.artefacts.stored import StoredPart, optional
 from kinectbench.core.store.address import url_of
 from kinectbench.core.store.store import StoredObject, in_parallel
-from kinectbench.core.types import NamedProgress
 from kinectbench.engine.artefact import whole_manifest
 from kinectbench.engine.failures import keep_failure, stored_failure
 from kinectbench.engine.locks import locked
-from kinectbench.engine.pipeline import Outcome, build_recording
+from kinectbench.engine.pipeline import Outcome, build_recording, differing_settings
 from kinectbench.engine.stage_settings import MADE_OF
 from kinectbench.engine.stages import STAGES, Job, Stage, current_stages
-from kinectbench.engine.time_limit import Hung
 
 State = Literal["done", "failed", "missing"]
 # The state, in words, of a recording that was built with other settings.
 OTHER_SETTINGS = "other settings"
 
 
-def build_at_its_place(
-    job: Job,
-    upto: str = "pairs",
-    force: Sequence[str] = (),
-    progress: NamedProgress | None = None,
-    *,
-    wait: bool = True,
-    limit_s: float | None = None,
-    hung: Hung | None = None,
-) -> Outcome:
-    """Build a recording as `build_recording` does, in a local folder or in a store.
-
-    In a store, `wait` has no effect: runs do not wait for each other.
-    """
+def builder_of(job: Job) -> Callable[..., Outcome]:
+    """Return `build_recording`, or in a store `build_stored`, which has the same parameters."""
     if url_of(job.root) is None:
-        return build_recording(job, upto, force, progress, wait=wait, limit_s=limit_s, hung=hung)
+        return build_recording
     from kinectbench.engine.stored_build import build_stored
 
-    return build_stored(job, upto, force, progress, limit_s=limit_s, hung=hung)
+    return build_stored
 
 
 def status_of(job: Job) -> tuple[tuple[str, ...], Failed | None, list[StoredObject]]:
@@ -96,9 +82,7 @@ class RecordingStatus(StoredPart):
     )
     current: tuple[str, ...] = Field(description="stages that are up to date")
     next: str | None = Field(description="the first stage that is not up to date; null: there is none")
-    differs: str | None = Field(
-        default=None, description="the first setting of `next` that has changed since the stage was made"
-    )
+    differs: str | None = optional("the first setting of `next` that has changed since the stage was made")
     error: str | None = Field(description="why the last run failed")
     code: str | None = Field(description="code of this error")
 
@@ -145,17 +129,8 @@ def _differing_setting(job: Job, stage: Stage, built: Sequence[StoredObject]) ->
         manifest = newest_there(job, stage.name, built)
     if manifest is None or manifest.stage_version != stage.version:
         return None
-    key = next(_differing(manifest.settings, stage.settings(job)), None)
+    key = next(iter(differing_settings(stage.settings(job), manifest.settings)), None)
     return None if key is None else MADE_OF.get(key, key)
-
-
-def _differing(made: object, wanted: object, key: str = "") -> Iterator[str]:
-    """Yield the dotted keys of values that differ."""
-    if isinstance(made, Mapping) and isinstance(wanted, Mapping):
-        for name in dict.fromkeys((*wanted, *made)):
-            yield from _differing(made.get(name), wanted.get(name), f"{key}.{name}" if key else name)
-    elif made != wanted:
-        yield key
 
 
 def in_words(rows: Sequence[RecordingStatus]) -> str:

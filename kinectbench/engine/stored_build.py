@@ -53,6 +53,7 @@ def build_stored(
     force: Sequence[str] = (),
     progress: NamedProgress | None = None,
     *,
+    wait: bool = True,
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
@@ -65,6 +66,7 @@ def build_stored(
         upto: name of the last stage.
         force: names of stages to make again even if they are current.
         progress: called with (stage, done, total); `fetch` and `put` count as stages.
+        wait: has no effect: in a store, runs do not wait for each other.
         limit_s: time limit of the stages, seconds; None: no limit.
         hung: called with the reason, on another thread, if the build still hangs long after the limit.
 

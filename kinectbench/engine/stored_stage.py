@@ -6,15 +6,26 @@ decides which of their folders is valid. The many small files of a sequence, of 
 tar; JSON files are stored separately.
 """
 
+import tarfile
 import tempfile
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from functools import partial
 from pathlib import Path
+from typing import IO
 
-from kinectbench.core import StorageError, below, canonical_json, sha256_file, sha256_text
+from kinectbench.core import (
+    StorageError,
+    below,
+    canonical_json,
+    copy_bounded,
+    open_plain,
+    printable,
+    sha256_file,
+    sha256_text,
+    storage_errors,
+)
 from kinectbench.core.artefacts.manifest import Manifest, Timing
 from kinectbench.core.store.attempts import MissingObjectError
-from kinectbench.core.store.packed import pack_files, unpack_files
 from kinectbench.core.store.store import MOST_OBJECT_BYTES, Store, fetch_all, in_parallel
 from kinectbench.engine.artefact import Artefact
 
@@ -103,13 +114,8 @@ def fetch_file(
 ) -> None:
     """Download one JSON file of a stored artefact.
 
-    Args:
-        store: store of the benchmark's root.
-        recording: id of the recording.
-        artefact: an artefact that the store holds.
-        name: name of the file.
-        names: a listing of `build/<recording>/`, which often saves a request: the file's place in the store
-            is read from it instead of from the manifest, if it has one such file.
+    `names`, a listing of `build/<recording>/`, often saves a request: the file's place in the store is read
+    from it instead of from the manifest, if it has one such file.
     """
     where, folder = stored_folder(recording, artefact), _made(artefact.folder)
     if name == Manifest.FILE:
@@ -166,3 +172,50 @@ def _parts(manifest: Manifest) -> tuple[list[str], list[str]]:
 def _made(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+def pack_files(folder: Path, names: list[str], archive: Path) -> None:
+    """Write files into an uncompressed tar, in the given order, without times and owners: reproducibly."""
+    with storage_errors(archive), tarfile.open(archive, "w", format=tarfile.PAX_FORMAT) as tar:
+        for name in names:
+            entry = tarfile.TarInfo(name)
+            entry.size = (folder / name).stat().st_size
+            with open_plain(folder / name) as file:
+                tar.addfile(entry, file)
+
+
+def unpack_files(archive: Path, folder: Path, sizes: Mapping[str, int]) -> None:
+    """Extract a tar that must hold exactly these files with these sizes.
+
+    Args:
+        archive: tar from a store, untrusted.
+        folder: target; created if missing.
+        sizes: name -> bytes of each file.
+
+    Raises:
+        StorageError: the tar holds something else, is damaged, or the disk cannot be written.
+    """
+    left = dict(sizes)
+    try:
+        with (
+            storage_errors(folder),
+            open_plain(archive) as file,
+            tarfile.open(fileobj=file, mode="r:") as tar,
+        ):
+            while (entry := tar.next()) is not None:
+                if not entry.isreg() or left.pop(entry.name, None) != entry.size:
+                    name = printable(entry.name)
+                    raise StorageError(f"{archive.name}: '{name}' is not what manifest.json lists")
+                _write(tar.extractfile(entry), below(folder, entry.name), entry.size)
+                tar.members.clear()  # type: ignore[attr-defined] # it keeps all
+    except (tarfile.TarError, ValueError, EOFError) as error:
+        raise StorageError(f"{archive.name}: damaged ({printable(str(error))})") from error
+    if left:
+        raise StorageError(f"{archive.name}: lacks '{printable(next(iter(left)))}' and is damaged")
+
+
+def _write(source: IO[bytes] | None, path: Path, size: int) -> None:
+    assert source is not None, "a regular member has bytes"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as target:
+        copy_bounded(source, target, size)

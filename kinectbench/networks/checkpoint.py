@@ -133,11 +133,7 @@ class Checkpoint(_Checked):
 def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Checkpoint:
     """Read an untrusted checkpoint.
 
-    Args:
-        path: the checkpoint's file.
-        network: the network that is trained; a file larger than it needs is refused.
-        steps: number of steps of the whole training; the log has at most one row per step.
-        device: device for its tensors.
+    A file larger than the network needs is refused; the log has at most one row for each of the steps.
 
     Raises:
         DAMAGED: one of the exceptions in this tuple, if the file is missing, damaged, or of another kind.

@@ -150,12 +150,8 @@ def batches(
 ) -> Iterator[Batch]:
     """Yield this process's part of the batch of each step; the next batch is read ahead.
 
-    Args:
-        pairs: pairs of the training splits.
-        config: determines the size of a batch, seed, axes, and whether unknown voxels are masked.
-        steps: the requested steps.
-        device: device for the tensors.
-        part: rank of this process, and number of processes that share each batch.
+    `config` determines the size of a batch, seed, axes, and whether unknown voxels are masked. `part` is this
+    process's rank, and the number of processes that share each batch.
 
     Raises:
         ReleaseError: a pair is missing or changed.

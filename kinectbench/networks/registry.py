@@ -40,10 +40,7 @@ def require_torch() -> None:
 def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") -> "Network":
     """Make a network with its initial values, which depend only on the settings and the seed.
 
-    Args:
-        settings: kind and size of the network.
-        seed: seed of the initial values.
-        device: device of the values; "meta" makes shapes without values.
+    On the device "meta" it has shapes without values.
 
     Raises:
         SettingsError: the user's own class is not found, or is no `Network`.

@@ -89,12 +89,7 @@ def prepare_folder(folder: Path, config: MethodSettings) -> None:
 def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], config: MethodSettings) -> None:
     """Write checkpoint, log and curves; also weights, unless the best weights are kept and already written.
 
-    Args:
-        folder: the training's folder.
-        learner: the network and its optimisers.
-        state: progress of the training.
-        facts: the entries of training.json that do not change; they include the hashes of the releases.
-        config: the method's configuration.
+    `facts` are the entries of training.json that do not change, with the hashes of the releases.
     """
     latest = config.training.keep == "last" or state.best_step == 0  # validation writes the best
     if latest:

@@ -106,11 +106,7 @@ class Learner:
             fooled = -network.discriminator(batch.partial, fake).mean()
         loss = settings.loss_scale * (settings.beta * rebuilt + (1 - settings.beta) * fooled)
         self._descend(loss, 0)
-        return {
-            "loss": loss.item(),
-            "reconstruction": rebuilt.item(),
-            "discriminator": critic_loss.item(),
-        }
+        return {"loss": loss.item(), "reconstruction": rebuilt.item(), "discriminator": critic_loss.item()}
 
     def _descend(self, loss: Tensor, index: int) -> None:
         """Update the parameters of one optimiser by the gradients of `loss`; discard other gradients."""

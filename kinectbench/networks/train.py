@@ -99,7 +99,7 @@ def train(
     progress: Progress = no_progress,
     watch: Callable[[TrainingRow], None] | None = None,
 ) -> State:
-    """Train a network, or resume a training in the same folder.
+    """Train a network, or resume a training in the same folder; return its progress.
 
     On one machine and with the same number of threads, a training gives the same weights, however often it is
     stopped and resumed. If torchrun starts several processes, they share each batch.
@@ -113,9 +113,6 @@ def train(
         wait: whether to wait if another run uses the folder; if False, an error is raised.
         progress: called with (steps done, steps in all).
         watch: called with each new row of the log.
-
-    Returns:
-        The progress of the training.
 
     Raises:
         ReleaseError, PredictionError: there is no pair, one is missing or changed, or an output is wrong.
@@ -191,10 +188,7 @@ def _deterministic(device: str) -> Iterator[None]:
 
 
 def _run(
-    training: Training,
-    minutes: float | None,
-    progress: Progress,
-    watch: Callable[[TrainingRow], None] | None,
+    training: Training, minutes: float | None, progress: Progress, watch: Callable[[TrainingRow], None] | None
 ) -> None:
     """Train until all steps are done or the time is over, and save the progress.
 

@@ -10,14 +10,7 @@ from kinectbench.networks.network import Network
 from kinectbench.networks.recgan import RecGAN
 from kinectbench.networks.registry import make_network
 from kinectbench.networks.run_folder import CONFIG
-from kinectbench.networks.weights import (
-    FILE,
-    bytes_of,
-    check_fit,
-    headers_of,
-    set_weights,
-    shapes_of_network,
-)
+from kinectbench.networks.weights import FILE, bytes_of, check_fit, headers_of, set_weights, shapes_of_network
 
 # One folder for each network in the package, as `train` writes it, without its checkpoint.
 FOLDER = Path(__file__).parent / "trained"

@@ -43,13 +43,8 @@ def validation_iou(
 ) -> tuple[float, float]:
     """Return the mean IoU over known voxels at the best of 17 probability thresholds, and this threshold.
 
-    Pairs without known truth are left out, unless all pairs are such pairs.
-
-    Args:
-        network: the network to validate.
-        pairs: validation pairs, at least one.
-        config: determines axes and precision.
-        device: the network's device.
+    Pairs without known truth are left out, unless all pairs are such pairs. There must be a pair; `config`
+    determines axes and precision.
 
     Raises:
         PredictionError: an output of the network is no probability.

@@ -73,12 +73,9 @@ def refuse_other_content(out: Path) -> None:
 
 @contextlib.contextmanager
 def owned(folder: Path) -> Iterator[None]:
-    """Lock a folder during a `with` block, after waiting for other writers; then remove leftover downloads.
+    """Lock a folder, made if missing, in a `with` block, after other writers; remove leftover downloads.
 
     On a file system without locks nothing is removed, because another fetch may be running.
-
-    Args:
-        folder: the folder, which is made if missing.
 
     Raises:
         StorageError: the disk cannot be written.

@@ -375,8 +375,5 @@ def _entry(recipe: Recipe, scan: Scan) -> str:
         rows["camera"] = scan.camera.model_dump(exclude_unset=True)
     rows |= sources.entry.model_dump(exclude_none=True)
     rows |= {"license": sources.license, "source": sources.source}
-    lines = [
-        f"  - id: {yaml_text(scan.id)}",
-        *(f"    {key}: {yaml_text(row)}" for key, row in rows.items()),
-    ]
+    lines = [f"  - id: {yaml_text(scan.id)}", *(f"    {key}: {yaml_text(row)}" for key, row in rows.items())]
     return "\n".join(lines) + "\n"

@@ -110,10 +110,7 @@ class Release:
         return parse_sums(release_text(path), shown(path))
 
     def content(self, name: str) -> bytes:
-        """Return the bytes of a file of the release.
-
-        Args:
-            name: the file's path, relative to the release.
+        """Return the bytes of a file of the release, named by its path in it.
 
         Raises:
             ReleaseError: the file is missing, or not the published one.

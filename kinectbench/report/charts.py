@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
-from kinectbench.core.listing import spread
+from kinectbench.core.even_choice import spread
 from kinectbench.core.pages import render_page
 from kinectbench.core.types import Float64
 from kinectbench.report.plan import svg_path

@@ -351,11 +351,7 @@ def gallery_json(
         }
         if pairs:
             methods.append({"name": table.method, "pairs": pairs})
-    content = {
-        "protocol": protocol,
-        "pairs": {name: kept[name] for name in sorted(kept)},
-        "methods": methods,
-    }
+    content = {"protocol": protocol, "pairs": {name: kept[name] for name in sorted(kept)}, "methods": methods}
     return inert_json(content), len(holders) - len(kept)
 
 

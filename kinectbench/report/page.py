@@ -12,7 +12,8 @@ from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.gallery import Gallery
 from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.listing import SHOWN, Listing, spread
+from kinectbench.core.even_choice import spread
+from kinectbench.core.listing import SHOWN, Listing
 from kinectbench.core.pages import render_page
 from kinectbench.core.types import NamedProgress, no_progress
 from kinectbench.engine.stages import Job
@@ -67,7 +68,7 @@ def write_report(
     extras: ScoreExtras = NO_EXTRAS,
     released: ReleaseInfo | None = None,
 ) -> Path:
-    """Write the page of a benchmark; the same input gives the same bytes.
+    """Write the page of a benchmark to `out`, and return `out`; the same input gives the same bytes.
 
     Args:
         settings: the benchmark's settings.
@@ -79,9 +80,6 @@ def write_report(
         extras: groups and galleries of the score tables, in the same order.
         released: benchmark.json of a release without a local build; its settings are shown. None: `settings`
             are shown.
-
-    Returns:
-        `out`.
 
     Raises:
         StorageError: a file in `build` is damaged, or `out` cannot be written.

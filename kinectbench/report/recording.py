@@ -67,10 +67,7 @@ def object_pictures(
         unseen: mask (m,) of unmeasured faces, drawn in orange; measured faces are grey.
         frontiers: unobserved openings; the first four get a numbered arrow.
     """
-    pieces = [
-        (mesh_floor.keep_faces(~unseen), SEEN_RGB),
-        (mesh_floor.keep_faces(unseen), UNSEEN_RGB),
-    ]
+    pieces = [(mesh_floor.keep_faces(~unseen), SEEN_RGB), (mesh_floor.keep_faces(unseen), UNSEEN_RGB)]
     length_m = ARROW_SHARE * float(np.ptp(mesh_floor.vertices, axis=0).max())
     arrows = arrows_to(frontiers[:MARKED], length_m)
     points = np.concatenate([mesh_floor.vertices, *arrows])
@@ -192,11 +189,7 @@ class RecordingPart:
 
 
 def collect(job: Job, folder: Path) -> RecordingPart:
-    """Collect the current results of one recording; outdated results are only named.
-
-    Args:
-        job: the recording, with the settings that its build must have.
-        folder: `build/<recording>/`.
+    """Collect the current results of one recording in `build/<recording>/`; outdated ones are only named.
 
     Raises:
         StorageError: a file is damaged.

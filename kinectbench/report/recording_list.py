@@ -26,11 +26,7 @@ OBJECT_COLUMNS = ("object", "category", "pairs", "unknown", "pairs left out")
 
 
 def recording_row(job: Job, folder: Path) -> tuple[str, ...]:
-    """Return a recording's row of the list: a text for each of `COLUMNS`.
-
-    Args:
-        job: the recording, with the settings that its build must have.
-        folder: `build/<recording>/`.
+    """Return a recording's row of the list, from `build/<recording>/`: a text for each of `COLUMNS`.
 
     Raises:
         StorageError: a file is damaged.

@@ -101,10 +101,7 @@ def kept_baselines(files: Sequence[ScoreFile]) -> list[ScoreFile]:
     """Read the scores of baselines that `score` has written beside score files; one file per baseline.
 
     Only scores of the same release, score version and upsampling are returned. Baselines in `files` are left
-    out; other methods of their names do not count.
-
-    Args:
-        files: the page's score files, all of one release.
+    out; other methods of their names do not count. All `files` are of one release.
 
     Raises:
         StorageError: a file is damaged.

@@ -13,13 +13,7 @@ from kinectbench.core.artefacts.score_figures import (
     fields_of,
 )
 from kinectbench.core.artefacts.score_marks import BASELINE
-from kinectbench.core.artefacts.scores import (
-    OVERALL,
-    CategoryAverages,
-    Extremes,
-    OverallAverages,
-    ScoreTable,
-)
+from kinectbench.core.artefacts.scores import OVERALL, CategoryAverages, Extremes, OverallAverages, ScoreTable
 from kinectbench.report.figures import per_cent, text_of
 from kinectbench.scoring.averages import extremes
 from kinectbench.scoring.baselines.registry import BASE_RATE

@@ -18,19 +18,14 @@ from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.recognized import made_table
 from kinectbench.scoring.dataset import Dataset as Dataset
+from kinectbench.scoring.dataset import decode_sample as decode_sample
 from kinectbench.scoring.dataset import load as load
 from kinectbench.scoring.pair_result import PairJob, count, count_job, counting_of
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.predictions import check_method, missing_line
 from kinectbench.scoring.request import check_missing, check_words
 from kinectbench.scoring.rounds import pairs_to_score
-from kinectbench.scoring.shards import decode_sample as decode_sample
-from kinectbench.scoring.thresholds import (
-    STEPS_IN_WORDS,
-    Thresholds,
-    searched_thresholds,
-    thresholds_for,
-)
+from kinectbench.scoring.thresholds import STEPS_IN_WORDS, Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_packed_truth
 
 

@@ -168,8 +168,7 @@ def _category(
 
 
 def overall_averages(
-    by_category: Mapping[str, Mapping[str, CategoryAverages]],
-    means: Mapping[str, Mapping[str, ObjectMeans]],
+    by_category: Mapping[str, Mapping[str, CategoryAverages]], means: Mapping[str, Mapping[str, ObjectMeans]]
 ) -> dict[str, OverallAverages]:
     """Return {heading: mean over the counted categories, its intervals, numbers of pairs and objects}.
 
@@ -236,10 +235,6 @@ def curves(rows: Sequence[ScoreRow], protocols: Sequence[str]) -> dict[str, dict
 
     The IoU is averaged as in `object_means`: over the pairs of each object, then over objects. Under `paper`
     and `shell`, every pair has the same weight. Pairs whose truth is all unknown are left out.
-
-    Args:
-        rows: the rows of a table.
-        protocols: the scored protocols.
 
     Returns:
         The curves; None if a counted row has no curve, as in older tables.

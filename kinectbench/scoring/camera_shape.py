@@ -84,11 +84,7 @@ def similarity_to_camera(method: MethodFile, name: str, view: str) -> Float64:
 
 
 def read_shape(path: Path, name: str) -> CameraShape:
-    """Read a predicted shape in the coordinates of its file.
-
-    Args:
-        path: a .ply (mesh or cloud), .obj, .glb or .npz.
-        name: how error messages call the file.
+    """Read a predicted .ply (mesh or cloud), .obj, .glb or .npz in its own coordinates; errors say `name`.
 
     Raises:
         PredictionError: the file is invalid; the message is one line.

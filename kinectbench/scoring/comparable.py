@@ -130,9 +130,7 @@ def _check_truth(tables: Tables) -> None:
 def check_same(tables: Tables, protocol: str) -> None:
     """Refuse tables of different score versions, upsamplings or pairs, or with different truth values.
 
-    Args:
-        tables: {method's name: its table}.
-        protocol: a protocol under which all tables were scored.
+    All tables were scored under the protocol.
 
     Raises:
         SettingsError: the tables cannot be compared.

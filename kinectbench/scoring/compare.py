@@ -251,12 +251,7 @@ def _differences(
 ) -> list[Difference]:
     """Return the difference of every pair of methods in one scope.
 
-    Args:
-        names: the methods.
-        values: for each method {object: (value, weight in the scope's mean)}.
-        scope: a category, or "all".
-        metric: one of `METRICS`.
-        intervals: the confidence interval of each pair's mean difference.
+    `values` are for each method {object: (value, weight in the scope's mean)}, `intervals` for each pair.
     """
     pairs = list(combinations(range(len(names)), 2))
     raw = [{o: values[a][o][0] - values[b][o][0] for o in values[a]} for a, b in pairs]
@@ -274,8 +269,7 @@ def _differences(
             verdict = "no difference shown" if smallest <= ALPHA else "too few objects to tell"
         differences.append(
             Difference(
-                *(names[a], names[b], scope, mean, intervals[n]),
-                *(raw[n], p, corrected, smallest, verdict),
+                *(names[a], names[b], scope, mean, intervals[n]), *(raw[n], p, corrected, smallest, verdict)
             )
         )
     return differences

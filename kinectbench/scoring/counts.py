@@ -162,13 +162,8 @@ def ceiling_tallies(
     """Return the tallies of the truth itself, reduced to `side`^3 cells and taken as a prediction.
 
     The value of a cell is its occupied share. The best IoU of these tallies is about the highest that a
-    method of this resolution can reach; values optimised for the upsampling may reach a little more.
-
-    Args:
-        truth: the packed truth.
-        side: number of cells along each axis, below 256.
-        protocols: names of `PROTOCOLS`.
-        upsampling: "half-pixel" or "corner-aligned".
+    method of this resolution can reach; values optimised for the upsampling may reach a little more. The side
+    is below 256.
 
     Returns:
         The tally against the solid truth, and {protocol: tally} for the protocols that compare with another

@@ -52,8 +52,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
         )
     if why := why_open(faces):
         raise PredictionError(
-            f"the mesh is not closed ({why}); close it, submit a grid, {IN_CAMERA}",
-            what="open-mesh",
+            f"the mesh is not closed ({why}); close it, submit a grid, {IN_CAMERA}", what="open-mesh"
         )
     packed = voxelize_solid(vertices, faces, grid)
     # If no vertex is more than half a cell beyond the grid, no cell centre is cut off.

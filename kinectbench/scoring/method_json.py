@@ -75,13 +75,7 @@ def form_problem(method: MethodFile | None, suffix: str) -> str | None:
 
 
 def method_problems(folder: Path, method: MethodFile | None, release: Release) -> list[str]:
-    """Return signs, one line each, that a folder's predictions are incomplete or for another release.
-
-    Args:
-        folder: the folder of predictions.
-        method: method.json, as `read_method` returns it.
-        release: the release that is scored.
-    """
+    """Return signs, one line each, that a folder's predictions are incomplete or for another release."""
     if method is None:
         if (folder / UnfinishedFile.FILE).is_file():
             return [f"{UnfinishedFile.FILE}: `predict` has not completed these predictions; run it again"]
@@ -120,12 +114,7 @@ def _unknown_keys(method: MethodFile) -> Iterator[str]:
 
 
 def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list[str]:
-    """Return the files whose digests differ from method.json, sorted; [] if it lists no files.
-
-    Args:
-        method: method.json, as `read_method` returns it.
-        digests: {file, relative to the method's folder: digest of its bytes}.
-    """
+    """Return files whose `digests`, by path in the method's folder, are not method.json's, sorted; or []."""
     if method is None or method.files is None:
         return []
     return sorted(name for name, digest in digests.items() if method.files.get(name) != digest)

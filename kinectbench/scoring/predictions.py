@@ -51,9 +51,7 @@ class FoundPredictions:
 def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPredictions:
     """Find the file of each target: `<recording>/<view>` with one of `SUFFIXES`.
 
-    Args:
-        folder: one method's predictions.
-        targets: the targets; their names must be safe as paths (see `parse_targets`).
+    The names of targets must be safe as paths (see `parse_targets`).
 
     Raises:
         PredictionError: the folder is missing, cannot be listed or holds more than `MOST_FILES` files, or its
@@ -200,12 +198,8 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
 def lines_without(folder: Path, methods: Mapping[str, Path], targets: Iterable[Target]) -> list[str]:
     """Return a line for each subfolder without predictions in a folder of several methods.
 
-    Hidden subfolders are skipped. At most 20 are named; one more line gives the number of the others.
-
-    Args:
-        folder: the folder that was given to `split_methods`.
-        methods: the methods that `split_methods` returned.
-        targets: the targets that may be predicted; the first test target serves as an example in the lines.
+    Hidden subfolders are skipped. At most 20 are named; one more line gives the number of the others. The
+    first test target serves as an example.
     """
     if folder in methods.values():
         return []

@@ -86,11 +86,8 @@ def check_request(request: Request, predictions: Path | None) -> Missing:
 def check_declared(request: Request, folder: Path, *, of_several: bool = False) -> None:
     """Refuse options that contradict the method.json of one method.
 
-    Args:
-        request: the options.
-        folder: the method's predictions; without a method.json they are in the pairs' grid.
-        of_several: whether other methods are scored too. If so, a method that the protocols do not fit is
-            left out, and raises no error.
+    Without a method.json, predictions are in the pairs' grid. If other methods are scored, too
+    (`of_several`), a method that the protocols do not fit is left out, and raises no error.
 
     Raises:
         SettingsError: an option does not apply to predictions in the method's frame (camera, or the pair's

@@ -19,19 +19,9 @@ from kinectbench.scoring.baselines.recognized import is_of_baseline, made_table
 from kinectbench.scoring.camera.score_camera_method import left_out_table, score_in_camera
 from kinectbench.scoring.camera.score_grid_view import score_grid_in_space
 from kinectbench.scoring.caveats import marks_of
-from kinectbench.scoring.method_json import (
-    changed_files,
-    changed_line,
-    method_lines,
-    read_in_camera,
-)
+from kinectbench.scoring.method_json import changed_files, changed_line, method_lines, read_in_camera
 from kinectbench.scoring.pair_result import Journal, counting_of
-from kinectbench.scoring.predictions import (
-    check_method,
-    find_predictions,
-    split_methods,
-    strays_of,
-)
+from kinectbench.scoring.predictions import check_method, find_predictions, split_methods, strays_of
 from kinectbench.scoring.protocols import protocols_in_space, space_alone, unfit
 from kinectbench.scoring.request import Request, check_declared, check_missing, check_request
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan
@@ -42,21 +32,12 @@ NOT_FROM_VALIDATION = "the thresholds are not from validation; predict it too"
 
 
 def score(
-    release: Release,
-    predictions: Path,
-    *,
-    method: str,
-    resume_in: Path | None = None,
-    **options: Any,
+    release: Release, predictions: Path, *, method: str, resume_in: Path | None = None, **options: Any
 ) -> ScoreTable:
     """Score the test split; predictions of the validation split serve only to choose the thresholds.
 
-    Args:
-        release: the release that was predicted.
-        predictions: one method's folder, with a file `<recording>/<view>` for each view; untrusted.
-        method: the method's name.
-        resume_in: a folder where counts are kept until all pairs are counted; None keeps nothing.
-        options: the attributes of `Request`.
+    The predictions, one file `<recording>/<view>` each, are untrusted. In `resume_in`, if given, counts are
+    kept until all pairs are counted. `options` are the attributes of `Request`.
 
     Returns:
         The table. A prediction that cannot be scored is listed in `failures`; all others are scored.
@@ -99,12 +80,7 @@ def _counted_table(
     return made_table(release, make, how, rounds.counting, jobs)
 
 
-def _with_warnings(
-    table: ScoreTable,
-    predictions: Path,
-    asked: Plan,
-    release: Release,
-) -> ScoreTable:
+def _with_warnings(table: ScoreTable, predictions: Path, asked: Plan, release: Release) -> ScoreTable:
     """Add warnings about method.json and the folder to a table, and the run's hash if method.json has it."""
     method = asked.found.method
     more = (
@@ -145,12 +121,7 @@ def _rounds(release: Release, request: Request, journal: Journal) -> Rounds:
 
 
 def score_methods(
-    release: Release,
-    predictions: Path,
-    out: Path,
-    *,
-    method: str | None = None,
-    **options: Any,
+    release: Release, predictions: Path, out: Path, *, method: str | None = None, **options: Any
 ) -> list[ScoreTable]:
     """Score every method in a folder; write `out/scores.json`, or `out/<method>/scores.json` of several.
 
@@ -223,13 +194,7 @@ def _written(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> Scor
 
 
 def count_methods(
-    release: Release,
-    predictions: Path,
-    out: Path,
-    shard: Shard,
-    *,
-    method: str | None = None,
-    **options: Any,
+    release: Release, predictions: Path, out: Path, shard: Shard, *, method: str | None = None, **options: Any
 ) -> int:
     """Count one part of the pairs; a later `score_methods` uses the counts in `out`.
 
@@ -283,10 +248,7 @@ def _freeze(release: Release, table: ScoreTable, path: Path | None) -> None:
     # Without `objects` the file says that they are unknown, as for the method's own thresholds.
     objects = {} if table.threshold_objects is None else {"objects": table.threshold_objects}
     frozen = ThresholdsFile(
-        thresholds=table.thresholds,
-        method=table.method,
-        benchmark_sha256=release.benchmark_sha256,
-        **objects,
+        thresholds=table.thresholds, method=table.method, benchmark_sha256=release.benchmark_sha256, **objects
     )
     with replaced_file(path) as temporary:
         temporary.write_text(frozen.text(), encoding="utf-8")

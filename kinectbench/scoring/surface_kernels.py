@@ -108,13 +108,8 @@ def spreads(
     """Return the distances of one surface to another within each of several parts of the grid.
 
     A query's nearest target in the whole grid is also its nearest target in any part that contains the
-    target. So only the other queries are searched again for a part.
-
-    Args:
-        queries: the surface whose cells are counted.
-        targets: the other surface.
-        masks: the parts of the grid, packed; both surfaces are cut to each part.
-        hidden: packed cells; the second spread of each part counts only queries in these cells.
+    target. So only the other queries are searched again for a part. Both surfaces are cut to each of the
+    packed masks; the second spread of each counts only queries in the hidden cells.
 
     Returns:
         For each mask, the spread of the queries in the mask, and that of the queries that are also in

@@ -215,9 +215,7 @@ MOST_GROUPS = 2 * len(ascii_lowercase)
 def significance_letters(names: Sequence[str], apart: Collection[frozenset[str]]) -> dict[str, str]:
     """Return the letters of each method; the best method has an `a`.
 
-    Args:
-        names: the methods, the best first, without repetition.
-        apart: pairs of methods that differ significantly.
+    `names` has the best first; `apart` are pairs of methods that differ significantly.
 
     Returns:
         {name: its letters, such as "ab"}; two methods share a letter if, and only if, the pair is not in

@@ -50,11 +50,7 @@ def _entry(recordings: yaml.Node, recording: str) -> yaml.MappingNode:
 def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
     """Set or replace the box of a recording in the text of a file; return the text, otherwise unchanged.
 
-    Args:
-        text: text of a valid benchmark.yaml, or of a file that it includes.
-        source: name of the file.
-        recording: id of the recording.
-        box: the box, in the floor frame.
+    The text is of a valid benchmark.yaml, or of a file that it includes; the box is in the floor frame.
 
     Raises:
         SettingsError: the file cannot be changed safely; the message contains the line to paste.
@@ -102,10 +98,7 @@ def box_line(box: BoxPart) -> str:
 def with_recordings(text: str, source: str, lines: Sequence[str]) -> str:
     """Append recordings to the text of a benchmark.yaml; return the text, otherwise unchanged.
 
-    Args:
-        text: text of the file.
-        source: name of the file.
-        lines: lines of the new entries; each entry starts with `  - id:`.
+    Each of the new entries in `lines` starts with `  - id:`.
 
     Raises:
         SettingsError: the file cannot be changed safely.

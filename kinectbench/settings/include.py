@@ -39,10 +39,7 @@ class _Left:
 def with_included(root: yaml.MappingNode, config: Path, allowance: yaml_nodes.Allowance) -> yaml.MappingNode:
     """Append the recordings of the included files to the nodes of a benchmark.yaml.
 
-    Args:
-        root: nodes of benchmark.yaml.
-        config: path of benchmark.yaml; names are relative to its folder.
-        allowance: number of values that all files together may still have.
+    Names are relative to the folder of `config`; all files together share `allowance`.
 
     Returns:
         Nodes without `include:`; each recording keeps its file and line number. If `include:` has the wrong

@@ -105,10 +105,7 @@ SHOWN = 20
 def read_model(path: Path, model: type[Model], example: str) -> Model:
     """Read a YAML file and validate its content by a model.
 
-    Args:
-        path: the file.
-        model: model of the content.
-        example: a valid line, for an error message.
+    `example` is a valid line, for an error message.
 
     Raises:
         SettingsError: the file is unreadable or not YAML, or has invalid values. In the latter case there is

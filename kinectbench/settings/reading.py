@@ -30,10 +30,7 @@ INIT = "`kinectbench init FOLDER` writes one for the recordings in FOLDER"
 def read_bytes(path: Path, most_bytes: int = MOST_BYTES, missing: str = INIT) -> bytes:
     """Read the bytes of a settings file, on disk, in a store or on a web server.
 
-    Args:
-        path: the file, or its URL as a path.
-        most_bytes: a larger file is refused.
-        missing: advice if the file is missing.
+    A file larger than `most_bytes` is refused; `missing` is the advice if there is none.
 
     Raises:
         SettingsError: the file is missing, unreadable or too large.
@@ -77,14 +74,10 @@ def as_text(content: bytes, source: str) -> str:
 
 
 def matching(folder: Path, pattern: str) -> list[Path]:
-    """List the files that a name or a pattern matches, sorted.
+    """List the files below a folder that a name or a pattern with "/" between folders matches, sorted.
 
     A pattern may contain `*`, `?` and `[…]` as in a shell. `**` is refused: it would search all frames of the
     recordings below a benchmark.
-
-    Args:
-        folder: folder that the pattern is relative to.
-        pattern: name or pattern, with "/" between folders.
 
     Returns:
         The files that match; there may be none. A name without wildcards is returned even if the file is

@@ -34,10 +34,7 @@ HEADER = """\
 def init_benchmark(folder: Path, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str]) -> str:
     """Write the text of a valid benchmark.yaml for the recordings found in a folder.
 
-    Args:
-        folder: folder of the file; its name becomes the benchmark's.
-        recordings: (path relative to `folder`, name of the format) of each recording.
-        suffixes: suffixes of paths, such as ".bag", that are dropped from ids.
+    The folder's name becomes the benchmark's. Suffixes of paths, such as ".bag", are dropped from ids.
 
     Raises:
         SettingsError: there are no recordings.
@@ -77,11 +74,7 @@ def extended_benchmark(
 ) -> Extended:
     """Append to a benchmark.yaml those recordings of its folder that it lacks.
 
-    Args:
-        config: the file; paths are relative to its folder.
-        text: text of the file.
-        recordings: (path relative to the folder, name of the format) of each recording.
-        suffixes: suffixes of paths, such as ".bag", that are dropped from ids.
+    Paths are relative to the file's folder; suffixes of paths, such as ".bag", are dropped from ids.
 
     Raises:
         SettingsError: the old or the new text has an error, or the file cannot be changed safely.

@@ -302,10 +302,7 @@ def find(
 ) -> tuple[yaml.Node, yaml.Node | None]:
     """Find the node at a path.
 
-    Args:
-        node: node to start from.
-        path: keys of mappings and indices of lists.
-        known: a cache for many look-ups in the same nodes.
+    A path has keys of mappings and indices of lists; `known` is a cache for look-ups in the same nodes.
 
     Returns:
         Two nodes. Errors show the line of the first: the key or list entry at the path, or the last one on

@@ -92,13 +92,8 @@ def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSe
     """Voxelise a view's depth and the full shape in one cube, in the view's optical axes.
 
     The closed mesh is voxelised for each view (paper, Sec. 3.6: the full shape is rotated into the view's
-    camera orientation). Resampling one volume would be slower and less exact.
-
-    Args:
-        view: the view, with its frame, pose and mask.
-        sequence: the recording.
-        shape: `full_shape` of the object.
-        settings: framing, partial rule, and minimum containment.
+    camera orientation). Resampling one volume would be slower and less exact. The shape is `full_shape` of
+    the object.
     """
     camera = sequence.camera
     T_world_camera = view.alignment.T_world_camera

@@ -20,11 +20,9 @@ from small_benchmark import Run, finish, hashes, start
 from stored_benchmark import jobs_of, know_sources, put_benchmark
 from stores import proxied, s3, s3_server
 
+from kinectbench.core import StorageError, storage_errors
 from kinectbench.core.artefacts.manifest import Failed, Manifest
-from kinectbench.core.errors import StorageError
-from kinectbench.core.storage import storage_errors
 from kinectbench.core.store.attempts import PATIENCE_VARIABLE
-from kinectbench.core.store.packed import pack_files, unpack_files
 from kinectbench.core.store.store import Store
 from kinectbench.engine.checkout import checkout, files_of_recording, named_as_there
 from kinectbench.engine.orphans import find_orphans, remove_orphans
@@ -35,8 +33,10 @@ from kinectbench.engine.stored_stage import (
     ARCHIVE,
     fetch_stage,
     files_folder,
+    pack_files,
     put_stage,
     stored_folder,
+    unpack_files,
 )
 
 __all__ = ["proxied", "s3", "s3_server"]

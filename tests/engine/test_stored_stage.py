@@ -13,7 +13,6 @@ from stored_benchmark import jobs_of, know_sources, put_benchmark
 from stores import s3, s3_server
 
 from kinectbench.core.errors import RecordingError, SettingsError, StorageError
-from kinectbench.core.store.packed import pack_files
 from kinectbench.core.store.store import Store
 from kinectbench.engine.artefact import Artefact
 from kinectbench.engine.checkout import checkout, fetch_named
@@ -21,7 +20,14 @@ from kinectbench.engine.orphans import find_orphans, remove_orphans
 from kinectbench.engine.pipeline import STAGE_NAMES, artefacts_upto
 from kinectbench.engine.stages import Job
 from kinectbench.engine.stored_build import build_stored
-from kinectbench.engine.stored_stage import ARCHIVE, fetch_file, fetch_stage, put_stage, stored_folder
+from kinectbench.engine.stored_stage import (
+    ARCHIVE,
+    fetch_file,
+    fetch_stage,
+    pack_files,
+    put_stage,
+    stored_folder,
+)
 from kinectbench.settings.models import BenchmarkSettings
 
 __all__ = ["s3", "s3_server"]

@@ -13,7 +13,7 @@ from synthetic_release import synthetic_settings
 
 from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.geometry import TriangleMesh, invert_rigid
-from kinectbench.core.geometry.decimate import decimated, surface_distances_m
+from kinectbench.core.geometry.mesh import decimated, surface_distances_m
 from kinectbench.release.check.verify import verify
 from kinectbench.release.publish import object_glb
 from kinectbench.release.publish.object_glb import T_GLTF_FLOOR, glb_bytes

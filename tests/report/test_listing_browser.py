@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from headless import Browser, find_chromium
 
-from kinectbench.core.listing import PAGE_ROWS, SHOWN, Listing, inert_json, spread
+from kinectbench.core.even_choice import spread
+from kinectbench.core.listing import PAGE_ROWS, SHOWN, Listing, inert_json
 from kinectbench.core.pages import environment
 from kinectbench.release.publish import index_page
 from kinectbench.release.release import Release

@@ -8,7 +8,7 @@ from pydantic import Field
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reference import ReferenceInfo
-from kinectbench.core.artefacts.stored import JSON_BYTES, Count, Share, Stored, StoredPart
+from kinectbench.core.artefacts.stored import JSON_BYTES, Count, Share, Stored, StoredPart, optional
 from kinectbench.core.errors import KinectBenchError, ReleaseError
 from kinectbench.core.types import Framing, PartialRule, Split
 from kinectbench.core.untrusted_text import strict_json
@@ -44,25 +44,24 @@ class Distribution(StoredPart):
 class PairsInfo(StoredPart):
     """The settings of the pairs."""
 
-    framing: Framing | None = Field(None, description="what pairs' cubes are fitted to")
-    partial_rule: PartialRule | None = Field(None, description="rule for reducing partials to 64^3")
+    framing: Framing | None = optional("what pairs' cubes are fitted to")
+    partial_rule: PartialRule | None = optional("rule for reducing partials to 64^3")
     min_containment: Share = Field(description="least share of a partial's cells inside its shape")
 
 
 class SettingsInfo(StoredPart):
     """The settings that the release was built with, as in benchmark.yaml."""
 
-    source: str | None = Field(None, description="who recorded the data, or where it is from")
-    recordings: tuple[dict[str, object], ...] | None = Field(
-        None,
-        description="recordings' entries, without their paths; null or missing: not made from recordings",
+    source: str | None = optional("who recorded the data, or where it is from")
+    recordings: tuple[dict[str, object], ...] | None = optional(
+        "recordings' entries, without their paths; null or missing: not made from recordings"
     )
-    tracking: dict[str, object] | None = Field(None, description="camera tracking settings")
-    fusion: dict[str, object] | None = Field(None, description="TSDF fusion settings")
-    segmentation: dict[str, object] | None = Field(None, description="floor and object settings")
-    views: dict[str, object] | None = Field(None, description="view sampling settings")
+    tracking: dict[str, object] | None = optional("camera tracking settings")
+    fusion: dict[str, object] | None = optional("TSDF fusion settings")
+    segmentation: dict[str, object] | None = optional("floor and object settings")
+    views: dict[str, object] | None = optional("view sampling settings")
     pairs: PairsInfo = Field(description="pair settings")
-    publish: dict[str, object] | None = Field(None, description="publication settings")
+    publish: dict[str, object] | None = optional("publication settings")
 
 
 class RecordingInfo(StoredPart):
@@ -81,28 +80,22 @@ class RecordingInfo(StoredPart):
     poor: tuple[str, ...] = Field(
         (), description="limits of `publish.gate` that it violates; without figures where these are held back"
     )
-    accepted: str | None = Field(None, description="reason for publishing it nevertheless")
+    accepted: str | None = optional("reason for publishing it nevertheless")
     look: tuple[str, ...] = Field(
         (), description="reasons for a review still missing; without figures where these are held back"
     )
-    reference: ReferenceInfo | None = Field(
-        None,
-        description="comparison of its truth with a mesh, by `compare-truth`; null or missing: not compared, "
-        "or held back",
+    reference: ReferenceInfo | None = optional(
+        "comparison of its truth with a mesh, by `compare-truth`; null or missing: not compared, or held back"
     )
-    visible_share: Share | None = Field(
-        None,
-        description="share of the true surface that a view saw, mean over the pairs; null or missing: held "
-        "back, or not measured",
+    visible_share: Share | None = optional(
+        "share of the true surface that a view saw, mean over the pairs; null or missing: held "
+        "back, or not measured"
     )
-    rebuilt_iou: Share | None = Field(
-        None,
-        description="truth held back: IoU, where truth is known, of a solid carved from all the recording's "
-        "public views at their true poses",
+    rebuilt_iou: Share | None = optional(
+        "truth held back: IoU, where truth is known, of a solid carved from all the recording's "
+        "public views at their true poses"
     )
-    rebuilt_single_iou: Share | None = Field(
-        None, description="the same IoU from one view alone, mean over some views"
-    )
+    rebuilt_single_iou: Share | None = optional("the same IoU from one view alone, mean over some views")
 
 
 class Flow(StoredPart):
@@ -137,30 +130,29 @@ class ReleaseInfo(ReleaseFile):
     license: str = Field(description="the data's licence")
     format_version: int = Field(description="version of the release's layout")
     package_version: str = Field(description="version of kinectbench that published it")
-    publish_version: int | None = Field(None, description="version of what `publish` writes")
+    publish_version: int | None = optional("version of what `publish` writes")
     benchmark_sha256: str = Field(
         pattern=SHA256,
         description="SHA-256 of SHA256SUMS without the line of benchmark.json, and of the rest of this file",
     )
-    benchmark_sha256_version: Literal[2] | None = Field(
-        None, description="how `benchmark_sha256` is computed; missing: without the rest of this file"
+    benchmark_sha256_version: Literal[2] | None = optional(
+        "how `benchmark_sha256` is computed; missing: without the rest of this file"
     )
     framing: Framing = Field(description="what pairs' cubes are fitted to")
     partial_rule: PartialRule = Field(description="rule for reducing partials to 64^3")
-    distribution: Distribution | None = Field(
-        None,
-        description="whether the release may be distributed; missing: published before there was the key",
+    distribution: Distribution | None = optional(
+        "whether the release may be distributed; missing: published before there was the key"
     )
     settings: SettingsInfo = Field(description="settings of the build")
     packages: dict[str, str] = Field(description="versions of the packages that computed the data")
     recordings: dict[str, RecordingInfo] = Field(description="recordings by id")
-    left_out: dict[str, str] | None = Field(
-        None, description="recording built, or whose build failed, but not published → why"
+    left_out: dict[str, str] | None = optional(
+        "recording built, or whose build failed, but not published → why"
     )
-    flow: Flow | None = Field(
-        None, description="numbers of recordings tried, and their outcomes; missing: not made from recordings"
+    flow: Flow | None = optional(
+        "numbers of recordings tried, and their outcomes; missing: not made from recordings"
     )
-    version: str | None = Field(None, description="the data's version")
+    version: str | None = optional("the data's version")
     held_back: tuple[Split, ...] = Field((), description="splits of which only the inputs are here")
     isolated: tuple[str, ...] = Field(
         (), description="recordings of which one view is here, and nothing else that shows the object"
@@ -223,12 +215,8 @@ class PublishOptions(StoredPart):
 
     hold_back: tuple[Split, ...] = Field(description="splits whose truth is held back")
     thresholds: str | None = Field(description="content of the threshold file; null: none was given")
-    allow_poor: bool | None = Field(
-        None, description="whether recordings that violate `publish.gate` are published, too"
-    )
-    isolate: bool | None = Field(
-        None, description="whether of each object with held-back truth only one view is published"
-    )
+    allow_poor: bool | None = optional("whether recordings that violate `publish.gate` are published, too")
+    isolate: bool | None = optional("whether of each object with held-back truth only one view is published")
 
 
 class PublishStamp(Stored):

@@ -22,11 +22,7 @@ Gallery = Mapping[str, Packed]
 
 
 def write_gallery(cells: Gallery, scores: Path) -> None:
-    """Write gallery.npz beside a scores.json; it stores the SHA-256 of that file.
-
-    Args:
-        cells: packed predictions by pair, see `Gallery`.
-        scores: path of the scores.json of these predictions.
+    """Write packed predictions by pair to gallery.npz beside a scores.json, with the SHA-256 of that file.
 
     Raises:
         StorageError: the disk is full or read-only.

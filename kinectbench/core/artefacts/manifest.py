@@ -5,7 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from pydantic import Field, JsonValue
 
-from kinectbench.core.artefacts.stored import Stored
+from kinectbench.core.artefacts.stored import Stored, optional
 from kinectbench.core.storage import canonical_json
 from kinectbench.core.untrusted import read_plain_text
 from kinectbench.core.untrusted_text import strict_json
@@ -19,13 +19,13 @@ class Manifest(Stored):
     format_version: int = Field(description="version of this file's format")
     package_version: str = Field(description="version of KinectBench that made the artefact")
     stage: str = Field(description="name of the stage")
-    stage_version: int | None = Field(None, description="version of the stage's algorithm")
+    stage_version: int | None = optional("version of the stage's algorithm")
     fingerprint: str = Field(description="SHA-256 of the format version, stage, version, settings and inputs")
     settings: dict[str, JsonValue] = Field(description="the settings that the stage depends on")
     inputs: dict[str, str] = Field(description="fingerprint of each input, by name")
     files: dict[str, int] = Field(description="file sizes, bytes, by path below the folder")
-    removed: int | None = Field(
-        None, description="number of files that `fetch --stream` deleted after the build; absent if none"
+    removed: int | None = optional(
+        "number of files that `fetch --stream` deleted after the build; absent if none"
     )
     content: str | None = Field(
         None,
@@ -50,16 +50,13 @@ class Failed(Stored):
     format_version: int = Field(1, description="version of this file's format")
     stage: str | None = Field(description="stage that failed; null: its process was killed")
     error: str = Field(description="error message, one line")
-    code: str | None = Field(None, description="error code in docs/errors.md")
-    fingerprint: str | None = Field(
-        None,
-        description="fingerprint of what would fail again: not retried until it or `package_version` "
-        "changes; null where a retry may succeed (full disk, killed process)",
+    code: str | None = optional("error code in docs/errors.md")
+    fingerprint: str | None = optional(
+        "fingerprint of what would fail again: not retried until it or `package_version` "
+        "changes; null where a retry may succeed (full disk, killed process)"
     )
-    package_version: str | None = Field(None, description="version of kinectbench that failed")
-    scan_sha256: str | None = Field(
-        None, description="SHA-256 over the scan's files, if `fetch --stream` deleted them"
-    )
+    package_version: str | None = optional("version of kinectbench that failed")
+    scan_sha256: str | None = optional("SHA-256 over the scan's files, if `fetch --stream` deleted them")
 
 
 class SourceFile(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from kinectbench.core.artefacts.benchmark import SHA256
-from kinectbench.core.artefacts.stored import Matrix4, Stored, StoredPart, array_in_file
+from kinectbench.core.artefacts.stored import Matrix4, Stored, StoredPart, array_in_file, optional
 from kinectbench.core.errors import KinectBenchError, PredictionError
 from kinectbench.core.geometry import similarity_problem
 from kinectbench.core.storage import canonical_json, sha256_text
@@ -75,8 +75,8 @@ class MethodFile(Stored):
     MAX_BYTES: ClassVar[int] = 32 << 20
 
     name: str = Field(description="the method's name")
-    version: str | None = Field(None, description="version of the method, or of what ran it")
-    benchmark_sha256: str | None = Field(None, description="the release's `benchmark_sha256`")
+    version: str | None = optional("version of the method, or of what ran it")
+    benchmark_sha256: str | None = optional("the release's `benchmark_sha256`")
     frame: Literal["grid", "camera"] = Field(
         "grid", description="axes of predictions; grid: those of the pair's `full`"
     )
@@ -85,15 +85,13 @@ class MethodFile(Stored):
     axes: Literal["cv", "pytorch3d", "opengl"] = Field(
         "cv", description="camera axes; cv: x right, y down, z forward, as those of `full`"
     )
-    T_camera_prediction: dict[str, Similarity] | None = Field(
-        None,
-        description="`<recording>/<view>` -> 4 x 4 similarity from the prediction to the camera, metres, for "
-        "column vectors; it is applied after `unit` and `axes`",
+    T_camera_prediction: dict[str, Similarity] | None = optional(
+        "`<recording>/<view>` -> 4 x 4 similarity from the prediction to the camera, metres, for "
+        "column vectors; it is applied after `unit` and `axes`"
     )
-    volume_m: dict[str, Box] | None = Field(
-        None,
-        description="`<recording>/<view>` -> lowest and highest x, y, z of the method's own volume: camera "
-        "frame, metres; scores state the share of the truth outside",
+    volume_m: dict[str, Box] | None = optional(
+        "`<recording>/<view>` -> lowest and highest x, y, z of the method's own volume: camera "
+        "frame, metres; scores state the share of the truth outside"
     )
     scale: Literal["metric", "free"] = Field("metric", description="whether predictions have metric size")
     hypotheses: int = Field(1, ge=1, le=MOST_HYPOTHESES, description="predictions per pair")
@@ -102,15 +100,15 @@ class MethodFile(Stored):
     )
     inputs: tuple[str, ...] = Field((), description="what the method used: depth, color, mask, …")
     parameter_count: int | None = Field(None, ge=0, description="learnt values used in inference")
-    settings: dict[str, Any] | None = Field(None, description="the method's settings")
-    training: dict[str, Any] | None = Field(None, description="training data and time")
-    hardware: str | None = Field(None, description="hardware that it ran on")
+    settings: dict[str, Any] | None = optional("the method's settings")
+    training: dict[str, Any] | None = optional("training data and time")
+    hardware: str | None = optional("hardware that it ran on")
     seconds_per_view: float | None = Field(None, ge=0, description="mean time, without reading files")
     peak_memory_mb: float | None = Field(None, ge=0, description="most memory of process or GPU, 10^6 bytes")
     run_sha256: str | None = Field(
         None, pattern=SHA256, description="id of the `predict` run: SHA-256 of all that decides the bytes"
     )
-    files: dict[str, Blake3] | None = Field(None, description="file that the run wrote -> blake3:<hex>")
+    files: dict[str, Blake3] | None = optional("file that the run wrote -> blake3:<hex>")
 
     @field_validator("frame", "form", "unit", "axes", "scale", mode="before")
     @classmethod
@@ -161,13 +159,11 @@ class UnfinishedFile(Stored):
     threshold: float | None = Field(
         description="threshold above which bits are set; null: probabilities are written"
     )
-    precision: Literal["packed"] | None = Field(
-        None, description="packed: probabilities at 256^3 are stored in 8 bits; missing: none are"
+    precision: Literal["packed"] | None = optional(
+        "packed: probabilities at 256^3 are stored in 8 bits; missing: none are"
     )
-    torch: str | None = Field(None, description="version of torch")
-    hardware: str | None = Field(
-        None, description="hardware that it runs on: elsewhere sums are rounded in another order"
-    )
+    torch: str | None = optional("version of torch")
+    hardware: str | None = optional("hardware that it runs on: elsewhere sums are rounded in another order")
     code_sha256: str | None = Field(
         None,
         pattern=SHA256,
@@ -199,12 +195,10 @@ class TrainingRow(StoredPart):
     step: int = Field(description="steps done")
     epoch: float = Field(description="passes over all pairs")
     loss: float = Field(description="loss that the network minimises")
-    reconstruction: float | None = Field(None, description="3d-recgan++: part of the loss against the truth")
-    discriminator: float | None = Field(None, description="3d-recgan++: what the discriminator minimises")
-    validation_iou: float | None = Field(None, description="mean IoU over validation pairs, protocol known")
-    threshold: float | None = Field(
-        None, description="threshold of the highest `validation_iou`, of 0.1, 0.15, … 0.9"
-    )
+    reconstruction: float | None = optional("3d-recgan++: part of the loss against the truth")
+    discriminator: float | None = optional("3d-recgan++: what the discriminator minimises")
+    validation_iou: float | None = optional("mean IoU over validation pairs, protocol known")
+    threshold: float | None = optional("threshold of the highest `validation_iou`, of 0.1, 0.15, … 0.9")
 
     def line(self) -> str:
         """Return the row as a line to print."""
@@ -224,19 +218,19 @@ class TrainingFile(Stored):
         pattern=SHA256, description="SHA-256 of config.yaml's values other than defaults"
     )
     parameter_count: int = Field(description="learnt values, including a discriminator's")
-    benchmark_sha256: str | None = Field(None, description="the release's `benchmark_sha256`")
+    benchmark_sha256: str | None = optional("the release's `benchmark_sha256`")
     further_benchmarks_sha256: tuple[str, ...] = Field(
         (), description="`benchmark_sha256` of further releases"
     )
     framings: tuple[str, ...] = Field((), description="framings of the training pairs")
     objects: tuple[str, ...] = Field((), description="training objects")
-    pairs: int | None = Field(None, description="number of training pairs")
-    steps: int | None = Field(None, description="steps done")
-    steps_in_all: int | None = Field(None, description="steps of the whole training")
-    weights_step: int | None = Field(None, description="step that the weights are from")
-    seconds: float | None = Field(None, description="training time without validation, seconds")
-    hardware: str | None = Field(None, description="hardware that it ran on last")
-    source: str | None = Field(None, description="what converted weights were made of")
+    pairs: int | None = optional("number of training pairs")
+    steps: int | None = optional("steps done")
+    steps_in_all: int | None = optional("steps of the whole training")
+    weights_step: int | None = optional("step that the weights are from")
+    seconds: float | None = optional("training time without validation, seconds")
+    hardware: str | None = optional("hardware that it ran on last")
+    source: str | None = optional("what converted weights were made of")
     rows: tuple[TrainingRow, ...] = Field((), description="training progress")
 
     @property

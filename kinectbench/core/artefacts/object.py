@@ -18,6 +18,7 @@ from kinectbench.core.artefacts.stored import (
     Stored,
     StoredPart,
     Vector4,
+    optional,
 )
 from kinectbench.core.geometry import BoxAnchor, OrientedBox, Pose
 from kinectbench.core.types import Split, Underside
@@ -97,7 +98,7 @@ class AnchoredBoxPart(BoxPart):
     anchor_pose: Pose = Field(
         description="its camera's pose in the floor frame: x, y, z, quaternion x, y, z, w"
     )
-    anchor_depth_sha256: str | None = Field(None, description="first 16 digits of its depth's SHA-256")
+    anchor_depth_sha256: str | None = optional("first 16 digits of its depth's SHA-256")
 
     @classmethod
     def of_anchored(cls, box: OrientedBox, anchor: BoxAnchor) -> Self:
@@ -122,16 +123,13 @@ class FloorFile(Stored):
     T_floor_world: Matrix4 = Field(description="(4, 4), metres; frame floor: z up, floor at z = 0")
     noise_m: NotNegative = Field(description="standard deviation of points on the floor, metres")
     inlier_share: Share = Field(description="share of the scene's surface on the plane")
-    tilt_rad: float | None = Field(
-        None, description="angle between its normal and up, by gravity or how cameras were held, radians"
+    tilt_rad: float | None = optional(
+        "angle between its normal and up, by gravity or how cameras were held, radians"
     )
-    found: bool | None = Field(
-        None,
-        description="false: no plane was measured; z = 0 is level, at the lowest surface or below the object",
+    found: bool | None = optional(
+        "false: no plane was measured; z = 0 is level, at the lowest surface or below the object"
     )
-    scale: float | None = Field(
-        None, description="factor on floor_cut_m and low_cut_m, where cameras were nearer than 1 m"
-    )
+    scale: float | None = optional("factor on floor_cut_m and low_cut_m, where cameras were nearer than 1 m")
     candidates: tuple[FloorCandidate, ...] = Field(
         (), description="planes among which the floor was chosen; empty if a person gave it"
     )
@@ -186,10 +184,7 @@ class FrontierPart(StoredPart):
     volume_m3: NotNegative = Field(description="volume of the unseen region behind it, cubic metres")
     inside_share: Share = Field(description="share of that volume expected inside the object")
     solid_share: Share = Field(description="share of that volume that the solid fills")
-    underside: bool | None = Field(
-        None,
-        description="whether the region can be seen only from below",
-    )
+    underside: bool | None = optional("whether the region can be seen only from below")
 
 
 class ReferenceTruth(StoredPart):
@@ -207,75 +202,62 @@ class QualityFile(Stored):
 
     FILE = "quality.json"
 
-    format_version: Literal[1] | None = Field(None, description="version of this file's format")
-    verdict: str | None = Field(None, description="summary in words")
+    format_version: Literal[1] | None = optional("version of this file's format")
+    verdict: str | None = optional("summary in words")
     warnings: tuple[str, ...] = Field((), description="warnings, one line each")
-    doubts: tuple[str, ...] | None = Field(
-        None,
-        description="warnings that the object may not be one whole thing, or may not stand on the floor "
-        "found",
+    doubts: tuple[str, ...] | None = optional(
+        "warnings that the object may not be one whole thing, or may not stand on the floor found"
     )
-    repeatability_iou: Share | None = Field(
-        None, description="IoU between the solids of odd and of even frames"
-    )
-    estimated_iou: Share | None = Field(None, description="estimate of the solid's IoU to the unknown truth")
-    estimated_iou_low: Share | None = Field(None, description=INTERVAL_LOW)
-    estimated_iou_high: Share | None = Field(None, description=INTERVAL_HIGH)
+    repeatability_iou: Share | None = optional("IoU between the solids of odd and of even frames")
+    estimated_iou: Share | None = optional("estimate of the solid's IoU to the unknown truth")
+    estimated_iou_low: Share | None = optional(INTERVAL_LOW)
+    estimated_iou_high: Share | None = optional(INTERVAL_HIGH)
     estimated_iou_reasons: tuple[str, ...] = Field((), description="what widens the interval, a line each")
-    estimated_known_iou: Share | None = Field(
-        None, description="estimate of the IoU to the unknown truth over known voxels alone"
+    estimated_known_iou: Share | None = optional(
+        "estimate of the IoU to the unknown truth over known voxels alone"
     )
-    estimated_known_iou_low: Share | None = Field(
-        None, description="lower end of its interval; not guaranteed"
-    )
-    estimated_known_iou_high: Share | None = Field(
-        None, description="upper end of its interval; not guaranteed"
-    )
+    estimated_known_iou_low: Share | None = optional("lower end of its interval; not guaranteed")
+    estimated_known_iou_high: Share | None = optional("upper end of its interval; not guaranteed")
     frontiers: tuple[FrontierPart, ...] = Field(
         (), description="openings that nobody looked into, largest volume behind first"
     )
-    surface_sigma_m: NotNegative | None = Field(None, description="standard deviation of the surface, metres")
-    unknown_share: Share | None = Field(None, description="unknown share of the solid")
-    unknown_air_share: NotNegative | None = Field(
-        None, description="unseen volume taken for air, divided by the solid's volume; may exceed 1"
+    surface_sigma_m: NotNegative | None = optional("standard deviation of the surface, metres")
+    unknown_share: Share | None = optional("unknown share of the solid")
+    unknown_air_share: NotNegative | None = optional(
+        "unseen volume taken for air, divided by the solid's volume; may exceed 1"
     )
-    doubtful_share: Share | None = Field(
-        None, description="share of the solid that may be hollow; in files up to version 27 of the stage"
+    doubtful_share: Share | None = optional(
+        "share of the solid that may be hollow; in files up to version 27 of the stage"
     )
-    underside: Underside | None = Field(
-        None, description="`underside` in benchmark.yaml: a person's statement, not measured"
+    underside: Underside | None = optional(
+        "`underside` in benchmark.yaml: a person's statement, not measured"
     )
-    underside_share: Share | None = Field(
-        None,
-        description="unseen share of the solid that cameras could see only from below",
+    underside_share: Share | None = optional(
+        "unseen share of the solid that cameras could see only from below"
     )
-    volume_m3: NotNegative | None = Field(None, description="volume of the solid, cubic metres")
-    labels: LabelCounts | None = Field(None, description="voxels of each label")
-    box: BoxPart | None = Field(None, description="box around the object, floor frame")
-    box_odd: BoxPart | None = Field(None, description="box from odd frames alone")
-    box_even: BoxPart | None = Field(None, description="box from even frames alone")
-    selection: str | None = Field(None, description="how the object was selected: automatic, box or masks")
-    good_frames: Count | None = Field(None, description="number of frames fused")
-    unseen_side: UnseenSidePart | None = Field(None, description="side that no camera looked at")
-    moving: MovingPart | None = Field(None, description="frames in which something moves")
-    max_depth_m: NotNegative | None = Field(None, description="largest depth fused into the object, metres")
-    beyond_share: Share | None = Field(
-        None, description="share of depth around the object beyond `max_depth_m`"
+    volume_m3: NotNegative | None = optional("volume of the solid, cubic metres")
+    labels: LabelCounts | None = optional("voxels of each label")
+    box: BoxPart | None = optional("box around the object, floor frame")
+    box_odd: BoxPart | None = optional("box from odd frames alone")
+    box_even: BoxPart | None = optional("box from even frames alone")
+    selection: str | None = optional("how the object was selected: automatic, box or masks")
+    good_frames: Count | None = optional("number of frames fused")
+    unseen_side: UnseenSidePart | None = optional("side that no camera looked at")
+    moving: MovingPart | None = optional("frames in which something moves")
+    max_depth_m: NotNegative | None = optional("largest depth fused into the object, metres")
+    beyond_share: Share | None = optional("share of depth around the object beyond `max_depth_m`")
+    off_share: Share | None = optional(
+        "share of the depth on the object that lies 20 mm and more off its surface; null: none "
+        "of it lies clear of the floor"
     )
-    off_share: Share | None = Field(
-        None,
-        description="share of the depth on the object that lies 20 mm and more off its surface; null: none "
-        "of it lies clear of the floor",
+    inverse_depth_steps: NotNegative | None = optional(
+        "steps of inverse depth, 1/m: 346 of a Kinect v1; else estimates allow for a bias"
     )
-    inverse_depth_steps: NotNegative | None = Field(
-        None,
-        description="steps of inverse depth, 1/m: 346 of a Kinect v1; else estimates allow for a bias",
-    )
-    method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
-    source: str | None = Field(None, description="synthesised: source mesh")
-    faces: Count | None = Field(None, description="synthesised: triangles of the mesh")
-    truth: ReferenceTruth | None = Field(
-        None, description="a mesh that is the truth, in place of what was fused; missing: fused"
+    method: SolidMethod | str | None = optional("how the solid was made, with figures")
+    source: str | None = optional("synthesised: source mesh")
+    faces: Count | None = optional("synthesised: triangles of the mesh")
+    truth: ReferenceTruth | None = optional(
+        "a mesh that is the truth, in place of what was fused; missing: fused"
     )
 
     @property
@@ -385,9 +367,7 @@ class CandidatesFile(Stored):
 
     format_version: Literal[1] = Field(1, description="version of this file's format")
     floor_found: bool = Field(description="false: the boxes stand on the lowest surface")
-    T_floor_world: Matrix4 | None = Field(
-        None, description="(4, 4), metres: from the world to the boxes' frame"
-    )
+    T_floor_world: Matrix4 | None = optional("(4, 4), metres: from the world to the boxes' frame")
     plan: str = Field(description="file of the scene from above")
     candidates: tuple[CandidateRow, ...] = Field(
         description="boxes, automatic choice first, then by distance"

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from pydantic import Field, field_validator
 
 from kinectbench.core.artefacts.benchmark import ReleaseFile
-from kinectbench.core.artefacts.stored import Count, StoredPart
+from kinectbench.core.artefacts.stored import Count, StoredPart, optional
 from kinectbench.core.names import StoredCategory, unlike
 from kinectbench.core.storage import canonical_json, sha256_text
 
@@ -22,8 +22,8 @@ class LineageStage(StoredPart):
     """How one artefact of a recording was made."""
 
     package_version: str = Field(description="version of kinectbench; a record only")
-    stage_version: int | None = Field(
-        None, description="version of the stage's output; null or missing: the artefact is older than the key"
+    stage_version: int | None = optional(
+        "version of the stage's output; null or missing: the artefact is older than the key"
     )
     settings: dict[str, object] = Field(description="settings that it depends on")
     fingerprint: str = Field(description="SHA-256 of stage, version, settings and inputs")
@@ -45,11 +45,9 @@ class LineageRecording(StoredPart):
     files: dict[str, str] = Field(
         description="file of the recording, relative to it → SHA-256; empty where `files_sha256` is"
     )
-    files_sha256: str | None = Field(
-        None, description="in place of very many `files`: SHA-256 over their JSON"
-    )
+    files_sha256: str | None = optional("in place of very many `files`: SHA-256 over their JSON")
     stages: dict[str, LineageStage] = Field(description="stages by name, in pipeline order")
-    views: tuple[LineageView, ...] | None = Field(None, description="views with a pair; missing: held back")
+    views: tuple[LineageView, ...] | None = optional("views with a pair; missing: held back")
 
 
 def files_hash(files: Mapping[str, str]) -> str:
@@ -107,10 +105,8 @@ class ThresholdsFile(ReleaseFile):
         description="category → threshold, one of 0.1, 0.15, … 0.9"
     )
     objects: tuple[str, ...] = Field((), description="objects they were chosen on")
-    method: str | None = Field(None, description="method they were chosen for")
-    benchmark_sha256: str | None = Field(
-        None, description="`benchmark_sha256` of the release they were chosen on"
-    )
+    method: str | None = optional("method they were chosen for")
+    benchmark_sha256: str | None = optional("`benchmark_sha256` of the release they were chosen on")
 
     @field_validator("thresholds")
     @classmethod

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field
 
 from kinectbench.core.artefacts.object import Triple
-from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, ScaledPart, Stored, StoredPart
+from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, ScaledPart, Stored, StoredPart, optional
 
 MESH = "name of the mesh's file"
 MESH_PATH = "path of the mesh, as given; of an absolute one the last folder and the file name"
@@ -49,10 +49,10 @@ class ReferenceInfo(StoredPart):
     reference: str = Field(description=MESH)
     sha256: str = Field(description="SHA-256 of its bytes")
     refused: str | None = Field(description=REFUSED)
-    f_score_5mm: float | None = Field(None, description=F_5MM)
-    f_score_10mm: float | None = Field(None, description=F_10MM)
-    iou: float | None = Field(None, description=IOU)
-    itself: Literal[True] | None = Field(None, description=ITSELF)
+    f_score_5mm: float | None = optional(F_5MM)
+    f_score_10mm: float | None = optional(F_10MM)
+    iou: float | None = optional(IOU)
+    itself: Literal[True] | None = optional(ITSELF)
 
 
 class ComparedMesh(StoredPart):
@@ -61,35 +61,28 @@ class ComparedMesh(StoredPart):
     reference: str = Field(description=MESH_PATH)
     sha256: str = Field(description="SHA-256 of its bytes")
     refused: str | None = Field(description=REFUSED)
-    itself: Literal[True] | None = Field(None, description=ITSELF)
+    itself: Literal[True] | None = optional(ITSELF)
     closed: bool = Field(description="whether every edge has two faces")
-    T_world_reference: Matrix4 | None = Field(
-        None, description="(4, 4), metres: from the reference to the trajectory's world; null: not searched"
+    T_world_reference: Matrix4 | None = optional(
+        "(4, 4), metres: from the reference to the trajectory's world; null: not searched"
     )
-    residual_m: float | None = Field(
-        None,
-        description="mean distance both ways where the object was measured, each cut at 5 % of the diagonal; "
-        "metres",
+    residual_m: float | None = optional(
+        "mean distance both ways where the object was measured, each cut at 5 % of the diagonal; metres"
     )
-    scale: float | None = Field(None, description="factor by which the mesh would fit best")
-    mirrored_m: float | None = Field(None, description="`residual_m` of its mirror image")
-    mirror_fits_as_well: Literal[True] | None = Field(
-        None,
-        description="true: measurements cannot distinguish the mesh from its mirror image; missing: they can",
+    scale: float | None = optional("factor by which the mesh would fit best")
+    mirrored_m: float | None = optional("`residual_m` of its mirror image")
+    mirror_fits_as_well: Literal[True] | None = optional(
+        "true: measurements cannot distinguish the mesh from its mirror image; missing: they can"
     )
-    runner_up: RunnerUpPart | None = Field(
-        None, description="next best pose, with less than three times the residual"
+    runner_up: RunnerUpPart | None = optional("next best pose, with less than three times the residual")
+    symmetric_axis_floor: Triple | None = optional(
+        "axis of its rotational symmetry, unit vector, floor frame; null: it has none"
     )
-    symmetric_axis_floor: Triple | None = Field(
-        None, description="axis of its rotational symmetry, unit vector, floor frame; null: it has none"
-    )
-    f_score_5mm: float | None = Field(None, description=F_5MM)
-    f_score_10mm: float | None = Field(None, description=F_10MM)
-    iou: float | None = Field(None, description=IOU)
-    whole_iou: float | None = Field(None, description="IoU including unknown voxels")
-    directions: DirectionsPart | None = Field(
-        None, description="distances of the measured surface, by direction"
-    )
+    f_score_5mm: float | None = optional(F_5MM)
+    f_score_10mm: float | None = optional(F_10MM)
+    iou: float | None = optional(IOU)
+    whole_iou: float | None = optional("IoU including unknown voxels")
+    directions: DirectionsPart | None = optional("distances of the measured surface, by direction")
 
     @property
     def info(self) -> ReferenceInfo:

@@ -13,6 +13,8 @@ from pydantic import ConfigDict, Field, JsonValue
 from pydantic.dataclasses import dataclass
 from pydantic.fields import FieldInfo
 
+from kinectbench.core.artefacts.stored import optional
+
 IN_UNIT_RANGE: dict[str, JsonValue] = {"minimum": 0, "maximum": 1}
 SHARE: dict[str, JsonValue] = {**IN_UNIT_RANGE, "better": "higher"}
 UnitRange = Annotated[float, Field(json_schema_extra=IN_UNIT_RANGE)]
@@ -110,15 +112,11 @@ SHARES = frozenset(
 class Context:
     """Values needed to interpret the metrics of a pair, or their averages."""
 
-    base_rate_ce: Annotated[float | None, Field(json_schema_extra={"minimum": 0})] = Field(
-        default=None, description="cross-entropy of the category's base-rate constant, nats a voxel"
+    base_rate_ce: Annotated[float | None, Field(json_schema_extra={"minimum": 0})] = optional(
+        "cross-entropy of the category's base-rate constant, nats a voxel"
     )
-    coverage_voxels: OptionalUnitRange = Field(
-        default=None, description="share of the 256^3 voxels that the protocol counts"
-    )
-    coverage_shape: OptionalUnitRange = Field(
-        default=None, description="share of the shape's voxels that the protocol counts"
-    )
+    coverage_voxels: OptionalUnitRange = optional("share of the 256^3 voxels that the protocol counts")
+    coverage_shape: OptionalUnitRange = optional("share of the shape's voxels that the protocol counts")
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -156,7 +154,7 @@ class Resolution:
 class Unknown:
     """The share of a pair's true shape that is unknown; it does not depend on the protocol."""
 
-    unknown_share: OptionalUnitRange = Field(default=None, description="unknown share of the true shape")
+    unknown_share: OptionalUnitRange = optional("unknown share of the true shape")
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -263,40 +261,22 @@ class Calibration:
 class InSpace:
     """Values that only rows of the protocols `camera` and `aligned` have."""
 
-    part: ShapePart | None = Field(
-        default=None, description="part of the shape scored, under `camera` and `aligned`"
+    part: ShapePart | None = optional("part of the shape scored, under `camera` and `aligned`")
+    alignment: Alignment | None = optional("registration, under `aligned`")
+    hypotheses: Hypotheses | None = optional("several predictions in one row; null: the first or only one")
+    solid: bool | None = optional("whether the prediction has an inside: closed mesh, voxels or distances")
+    predicted_unknown_share: OptionalUnitRange = optional(
+        "share of the predicted surface left out in unknown space"
     )
-    alignment: Alignment | None = Field(default=None, description="registration, under `aligned`")
-    hypotheses: Hypotheses | None = Field(
-        default=None, description="several predictions in one row; null: the first or only one"
+    surface_unknown_share: OptionalUnitRange = optional(
+        "share of the part's true surface left out as unknown"
     )
-    solid: bool | None = Field(
-        default=None, description="whether the prediction has an inside: closed mesh, voxels or distances"
-    )
-    predicted_unknown_share: OptionalUnitRange = Field(
-        default=None, description="share of the predicted surface left out in unknown space"
-    )
-    surface_unknown_share: OptionalUnitRange = Field(
-        default=None, description="share of the part's true surface left out as unknown"
-    )
-    cut: OptionalUnitRange = Field(
-        default=None, description="share of the true known shape outside the method's volume"
-    )
-    silhouette: OptionalUnitRange = Field(
-        default=None, description="share of the predicted surface outside the view's mask"
-    )
-    ceiling: Ceiling | None = Field(
-        default=None, description="best figures that surface_sigma_m allows; null where it is 0"
-    )
-    as_papers: AsPapers | None = Field(
-        default=None, description="figures as in other papers, of the whole under `camera`"
-    )
-    closed: Closing = Field(
-        default=None, description="how the prediction was made solid (`--close`); null: it was not"
-    )
-    calibration: Calibration | None = Field(
-        default=None, description="calibration of several predictions, in rows of their mean"
-    )
+    cut: OptionalUnitRange = optional("share of the true known shape outside the method's volume")
+    silhouette: OptionalUnitRange = optional("share of the predicted surface outside the view's mask")
+    ceiling: Ceiling | None = optional("best figures that surface_sigma_m allows; null where it is 0")
+    as_papers: AsPapers | None = optional("figures as in other papers, of the whole under `camera`")
+    closed: Closing = optional("how the prediction was made solid (`--close`); null: it was not")
+    calibration: Calibration | None = optional("calibration of several predictions, in rows of their mean")
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -308,7 +288,7 @@ class ByThreshold:
         Field(
             json_schema_extra={"minItems": 17, "maxItems": 17, "items": {"type": "number", **IN_UNIT_RANGE}}
         ),
-    ] = Field(default=None, description="IoU at thresholds k / 20, k = 2 to 18; null: all unknown")
+    ] = optional("IoU at thresholds k / 20, k = 2 to 18; null: all unknown")
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -350,7 +330,7 @@ class ScoreRow(InSpace, ByThreshold, Unknown, SurfaceMetrics, Resolution, Contex
 class Averages(Context, SurfaceMetrics, VoxelMetrics):
     """Means of values over rows; a value that one of the rows lacks is None."""
 
-    ceiling_iou: OptionalUnitRange = Field(default=None, description="mean of the rows' ceilings")
+    ceiling_iou: OptionalUnitRange = optional("mean of the rows' ceilings")
 
     def __getitem__(self, key: str) -> Any:
         """Look up a value by its key in the file, such as "iou"."""

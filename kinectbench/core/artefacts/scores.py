@@ -31,7 +31,7 @@ from kinectbench.core.artefacts.score_figures import (
     fields_of,
 )
 from kinectbench.core.artefacts.score_marks import REPORTED, Mark, Sha256, ValidationUse, Verified
-from kinectbench.core.artefacts.stored import Stored, StoredPart
+from kinectbench.core.artefacts.stored import Stored, StoredPart, optional
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import canonical_json, replaced_file, sha256_text
 from kinectbench.core.untrusted import cell
@@ -55,29 +55,29 @@ REPEATABILITY = "mean IoU between truths of odd and even frames; null if not kno
 class CategoryAverages(Averages):
     """The averages of one category under one protocol, over objects; under `paper` over pairs."""
 
-    pairs: Count = Field(default=None, description="number averaged over")
-    objects: Count = Field(default=None, description="number averaged over")
-    base_rate_source: str | None = Field(default=None, description="source of the base rate")
+    pairs: Count = optional("number averaged over")
+    objects: Count = optional("number averaged over")
+    base_rate_source: str | None = optional("source of the base rate")
     intervals: Intervals = Field(default_factory=dict)
-    truth_estimated_iou: OptionalUnitRange = Field(default=None, description=ESTIMATED)
-    truth_estimated_iou_low: OptionalUnitRange = Field(default=None, description=LOW)
-    truth_estimated_iou_high: OptionalUnitRange = Field(default=None, description=HIGH)
-    truth_repeatability_iou: OptionalUnitRange = Field(default=None, description=REPEATABILITY)
-    truth_unknown_share: OptionalUnitRange = Field(default=None, description=UNKNOWN)
+    truth_estimated_iou: OptionalUnitRange = optional(ESTIMATED)
+    truth_estimated_iou_low: OptionalUnitRange = optional(LOW)
+    truth_estimated_iou_high: OptionalUnitRange = optional(HIGH)
+    truth_repeatability_iou: OptionalUnitRange = optional(REPEATABILITY)
+    truth_unknown_share: OptionalUnitRange = optional(UNKNOWN)
 
 
 @dataclass(frozen=True, config=FINITE)
 class OverallAverages(Averages):
     """Means over the categories under one protocol."""
 
-    truth_estimated_iou: OptionalUnitRange = Field(default=None, description=ESTIMATED)
-    truth_estimated_iou_low: OptionalUnitRange = Field(default=None, description=LOW)
-    truth_estimated_iou_high: OptionalUnitRange = Field(default=None, description=HIGH)
-    truth_repeatability_iou: OptionalUnitRange = Field(default=None, description=REPEATABILITY)
-    truth_unknown_share: OptionalUnitRange = Field(default=None, description=UNKNOWN)
-    pairs: Count = Field(default=None, description="sum over the categories")
-    objects: Count = Field(default=None, description="sum over the categories")
-    categories: Count = Field(default=None, description="number of categories")
+    truth_estimated_iou: OptionalUnitRange = optional(ESTIMATED)
+    truth_estimated_iou_low: OptionalUnitRange = optional(LOW)
+    truth_estimated_iou_high: OptionalUnitRange = optional(HIGH)
+    truth_repeatability_iou: OptionalUnitRange = optional(REPEATABILITY)
+    truth_unknown_share: OptionalUnitRange = optional(UNKNOWN)
+    pairs: Count = optional("sum over the categories")
+    objects: Count = optional("sum over the categories")
+    categories: Count = optional("number of categories")
     intervals: Intervals = Field(default_factory=dict)
 
 
@@ -90,35 +90,32 @@ class ScoreSettings(StoredPart):
         json_schema_extra={"minimum": 1},
     )
     protocols: tuple[str, ...] = Field((), description="protocols that were scored")
-    primary_protocol: str | None = Field(None, description="protocol that methods are ranked by")
+    primary_protocol: str | None = optional("protocol that methods are ranked by")
     missing: str | None = Field(
         None,
         description='what a missing prediction is: "error", or "empty" for an empty grid',
         json_schema_extra={"enum": ["error", "empty"]},
     )
-    threshold_range: tuple[float, float] | None = Field(None, description="lowest and highest threshold")
-    threshold_step: float | None = Field(None, description="step between neighbouring thresholds")
-    threshold_rule: str | None = Field(None, description="how thresholds are chosen")
-    occupied: str | None = Field(None, description="rule by which a voxel is predicted occupied")
-    ce_clip: float | None = Field(None, description="predictions are clipped to [ce_clip, 1 - ce_clip]")
-    iou_of_empty_union: int | None = Field(None, description="IoU where nothing is occupied or predicted")
-    precision_and_recall_of_nothing: str | None = Field(
-        None, description="precision without predicted voxels, recall without occupied ones"
+    threshold_range: tuple[float, float] | None = optional("lowest and highest threshold")
+    threshold_step: float | None = optional("step between neighbouring thresholds")
+    threshold_rule: str | None = optional("how thresholds are chosen")
+    occupied: str | None = optional("rule by which a voxel is predicted occupied")
+    ce_clip: float | None = optional("predictions are clipped to [ce_clip, 1 - ce_clip]")
+    iou_of_empty_union: int | None = optional("IoU where nothing is occupied or predicted")
+    precision_and_recall_of_nothing: str | None = optional(
+        "precision without predicted voxels, recall without occupied ones"
     )
-    upsampling: str | None = Field(None, description="how a grid of less than 256 a side is brought to 256")
-    averages: str | None = Field(None, description="the order of the means")
-    surface_metrics: bool | None = Field(None, description="whether surface metrics were computed")
-    close: Closing = Field(None, description="how open meshes and points are made solid; null: they are not")
+    upsampling: str | None = optional("how a grid of less than 256 a side is brought to 256")
+    averages: str | None = optional("the order of the means")
+    surface_metrics: bool | None = optional("whether surface metrics were computed")
+    close: Closing = optional("how open meshes and points are made solid; null: they are not")
     f_score_mm: tuple[float, ...] = Field((), description="tolerances of the F-scores in millimetres")
-    surface_dice_sigmas: float | None = Field(
-        None, description="surface Dice's tolerance, standard deviations"
-    )
-    interval_level: float | None = Field(None, description="level of the confidence intervals")
-    interval_rule: str | None = Field(None, description="how intervals are computed")
-    baseline_version: int | None = Field(
-        None,
-        description="version of what baselines predict, in their tables; 0 in those of other methods; null: "
-        "not stated, as in older tables",
+    surface_dice_sigmas: float | None = optional("surface Dice's tolerance, standard deviations")
+    interval_level: float | None = optional("level of the confidence intervals")
+    interval_rule: str | None = optional("how intervals are computed")
+    baseline_version: int | None = optional(
+        "version of what baselines predict, in their tables; 0 in those of other methods; null: "
+        "not stated, as in older tables"
     )
 
     @property
@@ -204,7 +201,7 @@ class ScoreTable(Stored):
     method: str = Field(description="name of the method")
     benchmark_sha256: Sha256 = Field("", description="the release's `benchmark_sha256`")
     package_version: str = Field("", description="version of kinectbench")
-    run_sha256: Sha256 | None = Field(None, description="as in method.json; null: not known")
+    run_sha256: Sha256 | None = optional("as in method.json; null: not known")
     settings: ScoreSettings = Field(ScoreSettings(), description="every choice that the numbers depend on")
     complete: bool = Field(False, description="whether every test pair was scored; if not, no averages")
     thresholds: Annotated[dict[str, float], BeforeValidator(_without_nulls)] = Field(
@@ -217,13 +214,12 @@ class ScoreTable(Stored):
         json_schema_extra={"pattern": "^(validation|pooled|method|fixed|file:[0-9a-f]{64})$"},
     )
     threshold_source_by_category: dict[str, str] = Field({}, description="category -> source, likewise")
-    threshold_objects: Lines | None = Field(
-        None,
-        description="objects that the thresholds were chosen on; null where unknown: their file does not "
-        "name them, or some are the method's own",
+    threshold_objects: Lines | None = optional(
+        "objects that the thresholds were chosen on; null where unknown: their file does not "
+        "name them, or some are the method's own"
     )
-    validation: ValidationUse | None = Field(
-        None, description="validation pairs that chose the thresholds; null: they chose none"
+    validation: ValidationUse | None = optional(
+        "validation pairs that chose the thresholds; null: they chose none"
     )
     missing_as_empty: Lines = Field((), description="pairs scored as empty grids")
     marks: tuple[Mark, ...] = Field((), description="what to know before trusting the numbers")
@@ -231,14 +227,14 @@ class ScoreTable(Stored):
         {}, description="category -> the constant that CE is compared with"
     )
     rows: tuple[ScoreRow, ...] = Field((), description="one row for each protocol and test pair")
-    rows_file: RowsFile | None = Field(
-        None, description="description of rows.npz, which holds the rows if more than 30,000; `rows` is empty"
+    rows_file: RowsFile | None = optional(
+        "description of rows.npz, which holds the rows if more than 30,000; `rows` is empty"
     )
-    by_category: Annotated[dict[str, ByCategory], BeforeValidator(_without_nulls)] | None = Field(
-        None, description="protocol -> category -> averages; null if not complete"
+    by_category: Annotated[dict[str, ByCategory], BeforeValidator(_without_nulls)] | None = optional(
+        "protocol -> category -> averages; null if not complete"
     )
-    overall: Annotated[dict[str, OverallAverages], BeforeValidator(_without_nulls)] | None = Field(
-        None, description="protocol -> mean over the categories"
+    overall: Annotated[dict[str, OverallAverages], BeforeValidator(_without_nulls)] | None = optional(
+        "protocol -> mean over the categories"
     )
     truth_quality: dict[str, QualityFile] = Field(
         {}, description="recording -> what the release says of its truth"
@@ -251,14 +247,12 @@ class ScoreTable(Stored):
     warnings: Lines = Field((), description="warnings, one line each")
     notes: Lines = Field((), description="notes, one line each")
     extremes: dict[str, Extremes] = Field({}, description="protocol -> the best and the worst pairs by IoU")
-    iou_by_threshold: dict[str, dict[str, Curve]] | None = Field(
-        None, description="protocol -> category -> mean IoU at k / 20, k = 2 to 18; null if not complete"
+    iou_by_threshold: dict[str, dict[str, Curve]] | None = optional(
+        "protocol -> category -> mean IoU at k / 20, k = 2 to 18; null if not complete"
     )
     hashes: dict[str, Hashes] = Field({}, description="pair -> hashes of its truth and prediction")
     baseline: bool = Field(False, description="whether kinectbench made it, for comparison with methods")
-    verified: Verified | None = Field(
-        None, description="recheck that found the same rows; null: reported only"
-    )
+    verified: Verified | None = optional("recheck that found the same rows; null: reported only")
 
     @property
     def standing(self) -> str:

@@ -5,7 +5,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from kinectbench.core.artefacts.stored import Bare, Stored, StoredPart
+from kinectbench.core.artefacts.stored import Bare, Stored, StoredPart, optional
 from kinectbench.core.geometry import Camera
 from kinectbench.core.types import Int64
 
@@ -37,28 +37,25 @@ class CameraFile(Stored):
     cy: float = Field(description="Principal point in y of the depth images, pixels.")
     depth_scale: float = Field(gt=0, description="Native depth units per metre.")
     color_registered: bool = Field(description="Whether colour pixels lie on depth pixels.")
-    registered_by: Literal["recording", "calibration"] | None = Field(
-        default=None, description="recording: as recorded; calibration: by ingest, with a given calibration."
+    registered_by: Literal["recording", "calibration"] | None = optional(
+        "recording: as recorded; calibration: by ingest, with a given calibration."
     )
     source_format: str = Field(default="", description="Name of the recording's format.")
-    frames: int | None = Field(default=None, description="Number of frames.")
+    frames: int | None = optional("Number of frames.")
     warnings: tuple[str, ...] = Field(default=(), description="What the recording's user should know.")
     doubts: tuple[str, ...] = Field(
         default=(), description="Evidence that depth_scale or intrinsics are wrong; absent: nothing."
     )
     trajectory_error: str = Field(default="", description='Why the given trajectory is not used, or "".')
     depth_sketch: tuple[str, ...] = Field(
-        default=(),
-        description="The 1024 smallest digests (BLAKE2b) of depth images, in millimetres.",
+        default=(), description="The 1024 smallest digests (BLAKE2b) of depth images, in millimetres."
     )
-    up_world: tuple[float, float, float] | None = Field(
-        default=None,
-        description="Unit vector: up by gravity, in the frame of the given trajectory; absent: not known.",
+    up_world: tuple[float, float, float] | None = optional(
+        "Unit vector: up by gravity, in the frame of the given trajectory; absent: not known."
     )
-    up_cameras: tuple[tuple[int, float, float, float], ...] | None = Field(
-        default=None,
-        description="[stamp in ns, x, y, z] of some frames: unit vector, up in the camera's axes, by an "
-        "accelerometer; absent: none, or its place is not known.",
+    up_cameras: tuple[tuple[int, float, float, float], ...] | None = optional(
+        "[stamp in ns, x, y, z] of some frames: unit vector, up in the camera's axes, by an "
+        "accelerometer; absent: none, or its place is not known."
     )
 
     @field_validator("format_version")
@@ -83,14 +80,13 @@ class FrameRow(StoredPart):
     """One frame of frames.json; paths are relative to the sequence folder."""
 
     index: int = Field(description="Index of the frame, from 0.")
-    recorded: int | None = Field(
-        default=None,
-        description="Number of the frame in the recording, from 0: damaged frames count; absent: as index.",
+    recorded: int | None = optional(
+        "Number of the frame in the recording, from 0: damaged frames count; absent: as index."
     )
     stamp_ns: int = Field(description="Stamp of the depth image, nanoseconds.")
     depth: str = Field(description="Path of the depth image, native units, 0 = no measurement.")
     color: str | None = Field(description="Path of the colour image as it was encoded, or null.")
-    mask: str | None = Field(default=None, description="Path of the given mask (not 0 = object), or null.")
+    mask: str | None = optional("Path of the given mask (not 0 = object), or null.")
 
 
 class FramesFile(Bare):

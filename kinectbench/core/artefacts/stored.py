@@ -20,6 +20,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     FailFast,
+    Field,
     GetCoreSchemaHandler,
     PlainSerializer,
     SerializerFunctionWrapHandler,
@@ -219,6 +220,11 @@ class Bare(Stored):
     def _without_absent_keys(self, to_dict: SerializerFunctionWrapHandler) -> object:
         (value,) = to_dict(self).values()
         return value
+
+
+def optional(description: str) -> Any:
+    """Declare a key that may be missing or null; the value is then None."""
+    return Field(None, description=description)
 
 
 def known(value: float | np.floating[Any], decimals: int | None = None) -> float | None:

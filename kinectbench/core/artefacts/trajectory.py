@@ -12,6 +12,7 @@ from kinectbench.core.artefacts.stored import (
     ScaledPart,
     Stored,
     StoredPart,
+    optional,
 )
 from kinectbench.core.geometry import TERMS, DepthCalibration
 from kinectbench.core.types import Float64
@@ -32,8 +33,8 @@ class LostStretch(StoredPart):
 
     first_frame: int = Field(description="its first frame")
     last_frame: int = Field(description="its last frame")
-    from_s: float | None = Field(None, description="when it begins, seconds from the first frame")
-    to_s: float | None = Field(None, description="when it ends, likewise")
+    from_s: float | None = optional("when it begins, seconds from the first frame")
+    to_s: float | None = optional("when it ends, likewise")
     reason: str = Field("", description="the most frequent reason")
 
 
@@ -50,10 +51,10 @@ class RejectedFrame(ScaledPart):
     """A frame that was left out because its depth disagrees with its given pose."""
 
     frame: int = Field(description="its index")
-    stamp_ns: int | None = Field(None, description="its depth stamp, nanoseconds")
-    residual_m: Millimetres = Field(None, description="median absolute residual, as given, mm")
-    shift_m: Millimetres = Field(None, description="shift of its points to agree with other frames, mm")
-    turn_rad: DegreesInFile | None = Field(None, description="turn of its camera to agree, degrees")
+    stamp_ns: int | None = optional("its depth stamp, nanoseconds")
+    residual_m: Millimetres = optional("median absolute residual, as given, mm")
+    shift_m: Millimetres = optional("shift of its points to agree with other frames, mm")
+    turn_rad: DegreesInFile | None = optional("turn of its camera to agree, degrees")
     reason: str = Field("", description="reason in words")
 
 
@@ -71,12 +72,12 @@ class LoopClosure(ScaledPart):
 
     a: int = Field(description="first keyframe's frame")
     b: int = Field(description="second keyframe's frame")
-    residual_m: Millimetres = Field(None, description="rms distance, point to plane, mm")
-    overlap: float | None = Field(None, description="share of b's points that can be compared with a")
-    inlier_share: float | None = Field(None, description="share of these points that agree")
-    correction_m: Millimetres = Field(None, description="disagreement with the final poses, mm")
-    correction_rad: DegreesInFile | None = Field(None, description="likewise, as angle, degrees")
-    weight: float | None = Field(None, description="weight left by the robust kernel, 0 to 1")
+    residual_m: Millimetres = optional("rms distance, point to plane, mm")
+    overlap: float | None = optional("share of b's points that can be compared with a")
+    inlier_share: float | None = optional("share of these points that agree")
+    correction_m: Millimetres = optional("disagreement with the final poses, mm")
+    correction_rad: DegreesInFile | None = optional("likewise, as angle, degrees")
+    weight: float | None = optional("weight left by the robust kernel, 0 to 1")
     believed: bool = Field(description="whether its weight is at least half")
 
 
@@ -84,19 +85,15 @@ class GivenFigures(ScaledPart):
     """The agreement of a given trajectory with the depth."""
 
     disagreeing: tuple[int, ...] = Field((), description="frames whose depth disagrees with it")
-    median_shift_m: Millimetres = Field(None, description="median disagreement with near frames, mm")
-    distant_shift_m: Millimetres = Field(None, description="median disagreement with distant frames, mm")
-    distant_unmatched: float | None = Field(
-        None, description="share of distant frame pairs that should match but fit nowhere near"
+    median_shift_m: Millimetres = optional("median disagreement with near frames, mm")
+    distant_shift_m: Millimetres = optional("median disagreement with distant frames, mm")
+    distant_unmatched: float | None = optional(
+        "share of distant frame pairs that should match but fit nowhere near"
     )
-    largest_jump_m: Millimetres = Field(None, description="largest jump; 0: none; mm")
-    refined_apart_m: Millimetres = Field(None, description="rms distance between given and refined poses, mm")
-    distant_residual_m: Millimetres = Field(
-        None, description="residual of distant frames, poses as given, mm"
-    )
-    refined_distant_residual_m: Millimetres = Field(
-        None, description="the same residual with refined poses, mm"
-    )
+    largest_jump_m: Millimetres = optional("largest jump; 0: none; mm")
+    refined_apart_m: Millimetres = optional("rms distance between given and refined poses, mm")
+    distant_residual_m: Millimetres = optional("residual of distant frames, poses as given, mm")
+    refined_distant_residual_m: Millimetres = optional("the same residual with refined poses, mm")
 
 
 class Covisibility(StoredPart):
@@ -111,14 +108,12 @@ class FrameHealth(ScaledPart):
 
     frame: int = Field(description="its index")
     state: FrameState = Field("tracked", description="whether it has a pose, and if not, why")
-    residual_m: Millimetres = Field(None, description="residual to other frames, mm")
-    shift_m: Millimetres = Field(None, description="possible error of its pose, mm")
-    inlier_share: float | None = Field(None, description="share of its points that agree with other frames")
-    speed_m_per_s: float | None = Field(None, description="camera speed since the frame before, m/s")
-    turn_rad_per_s: float | None = Field(None, description="camera's rate of turn, rad/s")
-    blur: float | None = Field(
-        None, description="colour blur: the recording's median sharpness, divided by the frame's"
-    )
+    residual_m: Millimetres = optional("residual to other frames, mm")
+    shift_m: Millimetres = optional("possible error of its pose, mm")
+    inlier_share: float | None = optional("share of its points that agree with other frames")
+    speed_m_per_s: float | None = optional("camera speed since the frame before, m/s")
+    turn_rad_per_s: float | None = optional("camera's rate of turn, rad/s")
+    blur: float | None = optional("colour blur: the recording's median sharpness, divided by the frame's")
 
 
 class TrajectoryHealth(ScaledPart, Stored):
@@ -132,9 +127,7 @@ class TrajectoryHealth(ScaledPart, Stored):
     grade: Annotated[Grade, BeforeValidator(lambda grade: OLDER_GRADES.get(grade, grade))] = Field(
         description="verdict in short; no bound on any error"
     )
-    recommended: Recommendation | None = Field(
-        None, description="what to do with a given trajectory; null without one"
-    )
+    recommended: Recommendation | None = optional("what to do with a given trajectory; null without one")
     warnings: tuple[str, ...] = Field((), description="what people should know, one line each")
     frames: int = Field(description="frames of the recording")
     tracked: int = Field(description="frames with a pose")
@@ -148,36 +141,28 @@ class TrajectoryHealth(ScaledPart, Stored):
     degenerate: tuple[int, ...] = Field(
         (), description="frames whose depth alone leaves some motion undetermined"
     )
-    unchecked: int | None = Field(None, description="frames that overlap others too little to be checked")
+    unchecked: int | None = optional("frames that overlap others too little to be checked")
     keyframes: tuple[int, ...] = Field((), description="frames that others are compared with")
-    median_shift_m: Millimetres = Field(None, description="median possible error of the poses, mm")
-    max_shift_m: Millimetres = Field(None, description="largest of these errors, mm")
-    median_residual_m: Millimetres = Field(None, description="median residual of frames with a pose, mm")
-    held_out_residual_m: Millimetres = Field(
-        None, description="median residual of frames that are no keyframes, mm"
-    )
-    sensor_noise_m: Millimetres = Field(None, description="the same residual from sensor noise alone, mm")
+    median_shift_m: Millimetres = optional("median possible error of the poses, mm")
+    max_shift_m: Millimetres = optional("largest of these errors, mm")
+    median_residual_m: Millimetres = optional("median residual of frames with a pose, mm")
+    held_out_residual_m: Millimetres = optional("median residual of frames that are no keyframes, mm")
+    sensor_noise_m: Millimetres = optional("the same residual from sensor noise alone, mm")
     path_length_m: float | None = Field(
         None, alias="path_length_m", description="the camera path's length, m"
     )
     open_path_m: float | None = Field(
         None, alias="open_path_m", description="path outside every believed loop, m"
     )
-    open_gap_s: float | None = Field(
-        None, description="longest time without a pose that no believed loop spans, seconds"
-    )
-    arc_rad: DegreesInFile | None = Field(
-        None, description="angle walked around what cameras look at, degrees"
-    )
+    open_gap_s: float | None = optional("longest time without a pose that no believed loop spans, seconds")
+    arc_rad: DegreesInFile | None = optional("angle walked around what cameras look at, degrees")
     ties: ConstraintCounts = Field(ConstraintCounts(), description="constraints of the pose graph")
-    loop_correction_m: Millimetres = Field(
-        None,
-        description="rms disagreement of believed loops with the poses, without one in twenty that may be "
-        "off, mm",
+    loop_correction_m: Millimetres = optional(
+        "rms disagreement of believed loops with the poses, without one in twenty that may be off, mm"
     )
     loops: tuple[LoopClosure, ...] = Field((), description="loop closures in the pose graph")
     refused_loops: tuple[LoopClosure, ...] = Field((), description="loop closures tried, but not believed")
-    given: GivenFigures | None = Field(None, description="check of a given trajectory; null without one")
+    given: GivenFigures | None = optional("check of a given trajectory; null without one")
     readout_s: MillisecondsInFile | None = Field(
         None,
         alias="readout_ms",

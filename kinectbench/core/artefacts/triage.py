@@ -5,7 +5,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from kinectbench.core.artefacts.stored import Stored, StoredPart
+from kinectbench.core.artefacts.stored import Stored, StoredPart, optional
 from kinectbench.core.types import Split, Underside
 
 Decision = Literal["accept", "look", "reject"]
@@ -25,15 +25,13 @@ class TriageRow(StoredPart):
     reasons: tuple[str, ...] = Field(
         description="reasons, one line each; accept: those that a person overrode"
     )
-    review: str | None = Field(
-        None, description="a person's reason for the decision; null: the rules decided"
-    )
-    estimated_iou: float | None = Field(None, description="as in quality.json")
-    estimated_iou_low: float | None = Field(None, description="as in quality.json")
-    estimated_known_iou: float | None = Field(None, description="as in quality.json")
-    underside: Underside | None = Field(None, description="as benchmark.yaml states it")
-    underside_by: Literal["recording", "category"] | None = Field(
-        None, description="whose line in benchmark.yaml states it; null: nobody's"
+    review: str | None = optional("a person's reason for the decision; null: the rules decided")
+    estimated_iou: float | None = optional("as in quality.json")
+    estimated_iou_low: float | None = optional("as in quality.json")
+    estimated_known_iou: float | None = optional("as in quality.json")
+    underside: Underside | None = optional("as benchmark.yaml states it")
+    underside_by: Literal["recording", "category"] | None = optional(
+        "whose line in benchmark.yaml states it; null: nobody's"
     )
     incomplete: tuple[str, ...] = Field(
         (), description="large unseen parts, one line each: scores leave them out"

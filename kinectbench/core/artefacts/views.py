@@ -14,6 +14,7 @@ from kinectbench.core.artefacts.stored import (
     Stored,
     StoredPart,
     must,
+    optional,
 )
 from kinectbench.core.untrusted import MOST_SIDE_PX
 
@@ -37,45 +38,37 @@ class ViewRow(StoredPart):
     """One view; of a held-back recording `view`, `K`, `width`, `height` and `pair` only."""
 
     view: ViewName = Field(description="zero-padded index")
-    steps: Steps | None = Field(None, description="synthesised: steps of roll, pitch, yaw")
-    angles_rad: Angles | None = Field(None, description="synthesised: roll, pitch, yaw, radians")
-    frame: Count | None = Field(None, description="index of the frame in the recording")
-    stamp_ns: int | None = Field(None, description="depth stamp, nanoseconds")
-    reason: str | None = Field(None, description="why it was chosen")
-    T_world_camera: Matrix4 | None = Field(
-        None, description="(4, 4), camera to world, metres, after alignment"
-    )
-    moved_m: NotNegative | None = Field(None, description="translation by the alignment, metres")
-    turned_rad: float | None = Field(None, description="rotation by the alignment, radians")
-    blur: NotNegative | None = Field(None, description="the colour image's blur, see docs/tracking.md")
-    pose_residual_m: NotNegative | None = Field(None, description="tracker's residual, metres")
-    pixels: Count | None = Field(None, description="pixels in the mask")
-    visible_share: Share | None = Field(None, description="share of the silhouette that has depth")
-    border_share: Share | None = Field(None, description="share of the silhouette within 1 px of the border")
-    dropped_share: Share | None = Field(
-        None, description="share of depth in the silhouette that the mask leaves out"
-    )
-    containment: Share | None = Field(
-        None, description="share of the view's cells inside the shape, dilated once"
-    )
-    residual_m: NotNegative | None = Field(
-        None, description="median difference between measured and rendered depth, metres"
-    )
-    truncated_share: Share | None = Field(None, description="share of the silhouette outside the image")
-    K: Intrinsics | None = Field(None, description="(3, 3) intrinsics, pixels; pixel centres are integers")
-    width: Side | None = Field(None, description="width of depth and mask, pixels")
-    height: Side | None = Field(None, description="height of depth and mask, pixels")
-    pair: bool | None = Field(None, description="whether the view has a pair and published images")
-    unknown_share: Share | None = Field(None, description=UNKNOWN_SHARE)
+    steps: Steps | None = optional("synthesised: steps of roll, pitch, yaw")
+    angles_rad: Angles | None = optional("synthesised: roll, pitch, yaw, radians")
+    frame: Count | None = optional("index of the frame in the recording")
+    stamp_ns: int | None = optional("depth stamp, nanoseconds")
+    reason: str | None = optional("why it was chosen")
+    T_world_camera: Matrix4 | None = optional("(4, 4), camera to world, metres, after alignment")
+    moved_m: NotNegative | None = optional("translation by the alignment, metres")
+    turned_rad: float | None = optional("rotation by the alignment, radians")
+    blur: NotNegative | None = optional("the colour image's blur, see docs/tracking.md")
+    pose_residual_m: NotNegative | None = optional("tracker's residual, metres")
+    pixels: Count | None = optional("pixels in the mask")
+    visible_share: Share | None = optional("share of the silhouette that has depth")
+    border_share: Share | None = optional("share of the silhouette within 1 px of the border")
+    dropped_share: Share | None = optional("share of depth in the silhouette that the mask leaves out")
+    containment: Share | None = optional("share of the view's cells inside the shape, dilated once")
+    residual_m: NotNegative | None = optional("median difference between measured and rendered depth, metres")
+    truncated_share: Share | None = optional("share of the silhouette outside the image")
+    K: Intrinsics | None = optional("(3, 3) intrinsics, pixels; pixel centres are integers")
+    width: Side | None = optional("width of depth and mask, pixels")
+    height: Side | None = optional("height of depth and mask, pixels")
+    pair: bool | None = optional("whether the view has a pair and published images")
+    unknown_share: Share | None = optional(UNKNOWN_SHARE)
 
 
 class Refused(StoredPart):
     """A frame that was not used as a view, or a view without a pair."""
 
-    view: ViewName | None = Field(None, description="zero-padded index; frames that were no views have none")
-    steps: Steps | None = Field(None, description="synthesised: steps of roll, pitch, yaw")
-    angles_rad: Angles | None = Field(None, description="synthesised: roll, pitch, yaw, radians")
-    frame: Count | None = Field(None, description="index of the frame in the recording")
+    view: ViewName | None = optional("zero-padded index; frames that were no views have none")
+    steps: Steps | None = optional("synthesised: steps of roll, pitch, yaw")
+    angles_rad: Angles | None = optional("synthesised: roll, pitch, yaw, radians")
+    frame: Count | None = optional("index of the frame in the recording")
     reason: str = Field(description="why it was refused")
 
 
@@ -96,10 +89,10 @@ class ViewsFile(Stored):
     FILE = "views.json"
 
     format_version: Literal[1] = Field(1, description="version of this file's format")
-    color_registered: bool | None = Field(None, description="whether colour pixels lie on depth pixels")
-    order: str | None = Field(None, description="synthesised: order of the angles")
-    steps_per_turn: Steps | int | None = Field(None, description="synthesised: steps in a turn")
-    camera: SynthesisedCamera | None = Field(None, description="synthesised: its camera")
+    color_registered: bool | None = optional("whether colour pixels lie on depth pixels")
+    order: str | None = optional("synthesised: order of the angles")
+    steps_per_turn: Steps | int | None = optional("synthesised: steps in a turn")
+    camera: SynthesisedCamera | None = optional("synthesised: its camera")
     views: tuple[ViewRow, ...] = Field(description="a row for each view")
     refused: tuple[Refused, ...] = Field(description="frames not used as views")
     warnings: tuple[str, ...] = Field((), description="warnings, one line each")
@@ -109,21 +102,15 @@ class PairRow(StoredPart):
     """Statistics of one pair of a partial view and the full shape."""
 
     view: ViewName = Field(description="zero-padded index")
-    frame: Count | None = Field(None, description="index of the frame in the recording")
-    containment: Share | None = Field(
-        None, description="share of the view's cells inside the shape, dilated once"
-    )
-    residual_m: NotNegative | None = Field(
-        None, description="median difference between measured and rendered depth, metres"
-    )
-    dropped_share: Share | None = Field(
-        None, description="share of depth in the silhouette that the mask leaves out"
-    )
-    visible_share: Share | None = Field(None, description="share of the silhouette that has depth")
-    moved_m: NotNegative | None = Field(None, description="translation by the alignment, metres")
-    turned_rad: float | None = Field(None, description="rotation by the alignment, radians")
-    cut_share: Share | None = Field(None, description="share of the shape's volume outside the pair's cube")
-    unknown_share: Share | None = Field(None, description=UNKNOWN_SHARE)
+    frame: Count | None = optional("index of the frame in the recording")
+    containment: Share | None = optional("share of the view's cells inside the shape, dilated once")
+    residual_m: NotNegative | None = optional("median difference between measured and rendered depth, metres")
+    dropped_share: Share | None = optional("share of depth in the silhouette that the mask leaves out")
+    visible_share: Share | None = optional("share of the silhouette that has depth")
+    moved_m: NotNegative | None = optional("translation by the alignment, metres")
+    turned_rad: float | None = optional("rotation by the alignment, radians")
+    cut_share: Share | None = optional("share of the shape's volume outside the pair's cube")
+    unknown_share: Share | None = optional(UNKNOWN_SHARE)
 
 
 class PairsFile(Stored):
@@ -140,10 +127,9 @@ class DrawnOn(StoredPart):
     """The image that the user drew a mask on."""
 
     image: Digest = Field(description="SHA-256 of the frame's depth as it was recorded")
-    picture: Digest | Literal["recorded"] | None = Field(
-        None,
-        description="SHA-256 of the view's pictures as the person saw them; recorded: none of a view, but of "
-        "the frame as it was recorded; None: not known",
+    picture: Digest | Literal["recorded"] | None = optional(
+        "SHA-256 of the view's pictures as the person saw them; recorded: none of a view, but of "
+        "the frame as it was recorded; None: not known"
     )
 
 

@@ -2,7 +2,6 @@
 
 from kinectbench.core.geometry.boxes import BoxAnchor, Grid, OrientedBox, Pose, yaw_rotation
 from kinectbench.core.geometry.camera import Camera, DepthRenderer, image_normals
-from kinectbench.core.geometry.decimate import decimated, surface_distances_m
 from kinectbench.core.geometry.depth import (
     MOST_MM,
     NO_CALIBRATION,
@@ -22,6 +21,7 @@ from kinectbench.core.geometry.mesh import (
     Tensors,
     TriangleMesh,
     box_mesh,
+    decimated,
     is_closed,
     isosurface,
     join,
@@ -31,6 +31,7 @@ from kinectbench.core.geometry.mesh import (
     poisson_surface,
     raycaster,
     read_own_ply,
+    surface_distances_m,
     three_corners,
     why_open,
     write_ply,

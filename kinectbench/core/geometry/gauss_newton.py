@@ -55,11 +55,7 @@ def descend(
 ) -> tuple[State, float]:
     """Repeat `advance`; return the last state and the size of the last step, inf if no step was made.
 
-    Args:
-        advance: returns the next state and the size of the step to it.
-        state: the initial state.
-        steps: maximum number of steps.
-        still: a step smaller than this is the last.
+    `advance` returns the next state and the size of the step to it; a step smaller than `still` is the last.
     """
     moved = np.inf
     for _ in range(steps):

@@ -83,7 +83,7 @@ def upright_gray(
 def upright_mask(
     mask: Bools, depth_m: NDArray[np.float32], camera: Camera, motion: Float64, readout_s: float
 ) -> Bools:
-    """Return a mask as a global shutter would record it.
+    """Return a mask (height, width) bool as a global shutter would record it.
 
     Args:
         mask: (height, width) bool, a mask of depth as recorded.
@@ -91,9 +91,6 @@ def upright_mask(
         camera: intrinsics for this image size.
         motion: (12,) of the camera, as in `RollingShutter.motion`.
         readout_s: time from the first row to the last, seconds.
-
-    Returns:
-        (height, width) bool.
     """
     import cv2
 

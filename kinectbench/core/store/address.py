@@ -99,9 +99,7 @@ def _shown(url: str) -> str:
 def require_usable(url: str, place: str) -> None:
     """Check for problems that a retry cannot solve: no package obstore, an unusable URL, or a bad endpoint.
 
-    Args:
-        url: URL of the store.
-        place: the URL as messages show it.
+    `place` is the URL as messages show it.
 
     Raises:
         SettingsError: one of these problems.

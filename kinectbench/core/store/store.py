@@ -132,12 +132,7 @@ class Store:
         """Create a file, but never replace one; of several concurrent writers only one succeeds.
 
         An existing file with equal content is no error: the store's answer to an earlier attempt may be lost.
-
-        Args:
-            name: name of the file.
-            content: its bytes.
-            same: compares the existing content (first argument) with the new one; true if they are
-                equivalent.
+        `same` compares the existing content (first argument) with the new one; true if they are equivalent.
 
         Returns:
             Whether this call wrote the file; False if it existed with equal content.
@@ -272,8 +267,7 @@ class Store:
         is_same = all(result.meta[key] == first[0][key] for key in ("size", "last_modified"))
         if not first[0]["e_tag"] and not is_same:
             raise StorageError(
-                f"{self.place(name)}: was replaced during the download; run the command again",
-                what="refused",
+                f"{self.place(name)}: was replaced during the download; run the command again", what="refused"
             )
         for part in result.stream():
             out.write(bytes(part))

@@ -47,12 +47,8 @@ def associate(
 
     Stamps may be paired if they differ by `tolerance_ns` at most. The result has the largest number of pairs,
     and among those the smallest sum of differences. Optimal pairs never need to cross, so dynamic programming
-    over the sorted stamps finds them. The default tolerance of 0.02 s is that of TUM RGB-D.
-
-    Args:
-        depth_ns: increasing stamps of depth.
-        color_ns: increasing stamps of colour, same clock.
-        tolerance_ns: largest difference of a pair.
+    over the sorted stamps finds them. The default tolerance of 0.02 s is that of TUM RGB-D. The stamps of
+    each stream increase, by one clock.
 
     Returns:
         For each depth frame, the index of its colour frame; None if it has no partner.
@@ -92,11 +88,7 @@ def pairing_tolerance_ns(depth_ns: Sequence[int] | Int64, color_ns: Sequence[int
 
     It is half a frame interval of the faster stream plus half the larger jitter of the two streams, at most
     `TOLERANCE_NS`. Below that limit, it includes the nearest image, and mostly excludes that of the next
-    frame.
-
-    Args:
-        depth_ns: stamps of depth, nanoseconds, in any order.
-        color_ns: stamps of colour, nanoseconds, in any order.
+    frame. The stamps are in nanoseconds, in any order.
     """
     streams = [np.unique(np.asarray(stamps_ns, np.int64)) for stamps_ns in (depth_ns, color_ns)]
     halves_ns = [half_step_ns(stream) for stream in streams]

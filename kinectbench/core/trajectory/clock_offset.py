@@ -91,11 +91,8 @@ def _best_ns(squares: Float64) -> int | None:
 def steps_to_vertex(values: Float64, best: int) -> float:
     """Return the signed offset, in steps, from the extremum of evenly spaced values to a parabola's vertex.
 
-    The parabola passes through the extremum and its two neighbours.
-
-    Args:
-        values: (n,), with a minimum or maximum at `best`.
-        best: index, neither the first nor the last.
+    The parabola passes through the extremum and its two neighbours. The extremum of the values (n,) is at the
+    index `best`, neither the first nor the last.
 
     Returns:
         In [-1, 1]; 0 if the three values lie on a line.

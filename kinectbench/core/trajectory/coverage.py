@@ -46,13 +46,10 @@ FEWEST = 6
 
 
 def convergence_point(T_world_camera: Float64) -> Float64:
-    """Return the point (3,) in the world nearest to all optical axes, in the least-squares sense.
+    """Return the point (3,) nearest to the optical axes of poses (n, 4, 4), n > 0, by least squares.
 
     Nearly parallel axes do not determine the distance, so a weak prior pulls the point towards 1.5 m ahead.
     If diverging axes meet behind most cameras, the result is the mean of the points 1.5 m ahead.
-
-    Args:
-        T_world_camera: (n, 4, 4), n > 0.
     """
     axes, positions = T_world_camera[:, :3, 2], T_world_camera[:, :3, 3]
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
@@ -96,11 +93,7 @@ def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
 
 
 def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:
-    """Return the median depth in the middle third of images, metres; None if none has depth there.
-
-    Args:
-        depths_m: (height, width) each, metres, 0 = none.
-    """
+    """Median depth, m, in the middle third of images (height, width), 0 = none; None if none is there."""
     middles_m: list[float] = []
     for depth_m in depths_m:
         height, width = depth_m.shape
@@ -226,13 +219,10 @@ def _seen(points_camera: Float64, depth_m: Float32, sequence: Sequence, step: in
 
 
 def in_order_of_time(T_world_camera: Float64) -> bool:
-    """Whether consecutive frames show similar views, as in a video.
+    """Whether consecutive poses (n, 4, 4), NaN where there is none, show similar views, as in a video.
 
     Renderings and sets of views often have exact poses in no order, so a frame does not predict the next one.
     Fewer than 6 poses count as a video.
-
-    Args:
-        T_world_camera: (n, 4, 4), NaN where a frame has no pose.
     """
     T = T_world_camera[np.isfinite(T_world_camera[:, 0, 0])]
     if len(T) < FEWEST:

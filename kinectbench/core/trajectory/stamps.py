@@ -57,11 +57,7 @@ def parse_stamp_ns(text: str, where: str) -> int:
 
 
 def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
-    """Check that stamps were in seconds, as they should be, by the intervals between images.
-
-    Args:
-        stamps_ns: stamps in the order of recording, as read.
-        where: file, for the message.
+    """Check by their intervals that stamps, in the order of recording, were in seconds, as they should be.
 
     Returns:
         One warning if the stamps may be in milliseconds, or in seconds of a slow series; else none.
@@ -117,10 +113,7 @@ def format_stamp(stamp_ns: int) -> str:
 def first_by_stamp(stamps_ns: Sequence[int], where: str, what: str) -> tuple[list[int], list[str]]:
     """Sort stamps and drop repeated stamps.
 
-    Args:
-        stamps_ns: nanoseconds, in any order.
-        where: file or topic, for the warning.
-        what: what the stamps are of, such as "rows", for the warning.
+    Stamps are in nanoseconds, in any order. `what` they are of, such as "rows", is for the warning.
 
     Returns:
         Indices into `stamps_ns` with strictly increasing stamps (the first of equal stamps), and a warning if
@@ -164,11 +157,7 @@ def typical_period_ns(stamps_ns: Int64) -> int:
 
 
 def find_stamp_faults(stamps_ns: ArrayLike) -> StampFaults:
-    """Find the faults of the stamps of one stream.
-
-    Args:
-        stamps_ns: (n,) nanoseconds, in the order of recording.
-    """
+    """Find the faults of the stamps (n,) of one stream, nanoseconds, in the order of recording."""
     stamps = np.asarray(stamps_ns, np.int64)
     steps = np.diff(stamps)
     is_jump = (steps > JUMP_NS) & (steps > JUMP_PERIODS * typical_period_ns(stamps))

@@ -21,11 +21,7 @@ PUNCTUATION = str.maketrans(dict.fromkeys(",;[]", " "))
 
 
 def read_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
-    """Read a UTF-8 text file, with or without a byte order mark.
-
-    Args:
-        path: the file.
-        most_bytes: a larger file is refused.
+    """Read a UTF-8 text file of at most `most_bytes`, with or without a byte order mark.
 
     Raises:
         RecordingError: the file cannot be read, is too large, or is not text.

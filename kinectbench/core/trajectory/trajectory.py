@@ -80,9 +80,7 @@ class Trajectory:
 def write_trajectory(trajectory: Trajectory, folder: Path) -> None:
     """Write trajectory.txt (the good frames), depth_calibration.json and, if known, health.json.
 
-    Args:
-        trajectory: the trajectory; its `pose_sigma_m` is stored only as part of health.json.
-        folder: an existing folder.
+    Its `pose_sigma_m` is stored only as part of health.json. The folder exists.
     """
     good = trajectory.good_frames
     posed = GivenTrajectory(trajectory.stamps_ns[good], trajectory.T_world_camera[good])

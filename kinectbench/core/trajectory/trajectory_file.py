@@ -89,11 +89,7 @@ def read_trajectory_file(path: Path, frames: int | None = None) -> tuple[GivenTr
 
 
 def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTrajectory, list[str]]:
-    """Check timed poses (camera to world) and sort them by stamps.
-
-    Args:
-        rows: in any order; of rows with equal stamps the first is kept.
-        name: the file or topic, for messages.
+    """Check timed poses (camera to world), and sort them by stamps; of equal stamps the first is kept.
 
     Returns:
         The trajectory and warnings.

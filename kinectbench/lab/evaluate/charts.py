@@ -67,7 +67,7 @@ def _render_errors(
 def path_chart(
     positions_true: Float64, positions_built: Float64, errors_m: Float64, outline: Float64
 ) -> bytes:
-    """Plot the camera path from above: true path in grey, built positions coloured by their error.
+    """Plot the camera path from above as PNG: true path in grey, built positions coloured by their error.
 
     Args:
         positions_true: (n, 3) true positions of all frames in order, frame `object`; NaN where unknown.
@@ -75,9 +75,6 @@ def path_chart(
             `object`.
         errors_m: (m,) distances of built positions from true ones, metres.
         outline: (k, 2) points on the true object's surface: x and y in frame `object`, metres.
-
-    Returns:
-        A PNG file.
     """
     figure = new_figure(6.6, 5.6)
     axes = figure.add_subplot(aspect="equal")
@@ -167,8 +164,7 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
 def slice_picture(solids: EvaluatedSolids) -> bytes:
     """Return a PNG file of three slices through the true solid's centre of mass, coloured by `slice_colors`.
 
-    Args:
-        solids: grids on the canonical cube, whose axes are those of frame `object`.
+    The grids are on the canonical cube, whose axes are those of frame `object`.
     """
     figure = new_figure(10.2, 3.9)
     middle = np.rint(np.argwhere(solids.true).mean(axis=0)).astype(int)

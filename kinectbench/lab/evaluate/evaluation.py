@@ -22,12 +22,7 @@ from kinectbench.lab.evaluate.measured import measured_surface
 from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures, mask_figures, pair_figures
 from kinectbench.lab.evaluate.refined import RefinedFigures, refined_figures
 from kinectbench.lab.evaluate.solid import SolidFigures, check_fills_cells, solid_figures
-from kinectbench.lab.evaluate.surface import (
-    SurfaceFigures,
-    errors_at_object,
-    surface_errors,
-    surface_figures,
-)
+from kinectbench.lab.evaluate.surface import SurfaceFigures, errors_at_object, surface_errors, surface_figures
 from kinectbench.lab.simulate.truth import Truth
 from kinectbench.stages.segment.find.floor import Floor
 
@@ -196,19 +191,12 @@ class Evaluation:
 
 
 def evaluate(
-    build: Build,
-    truth: Truth,
-    *,
-    align: bool = True,
-    progress: Progress = no_progress,
+    build: Build, truth: Truth, *, align: bool = True, progress: Progress = no_progress
 ) -> Evaluation:
     """Measure a build against the truth of the same recording.
 
-    Args:
-        build: the build; later stages may be missing.
-        truth: the simulator's truth.
-        align: whether to align the build's world with the truth's by the trajectories.
-        progress: called with (pairs done, pairs in all).
+    Later stages may be missing in the build; `align` aligns its world with the truth's by the trajectories.
+    `progress` is called with (pairs done, pairs in all).
 
     Raises:
         RecordingError: the truth is of another recording, damaged, or thinner than a cell.

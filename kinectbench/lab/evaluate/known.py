@@ -103,11 +103,7 @@ def voxels_beside(
 ) -> Voxels:
     """Return the voxels of the object's fine grid, in the truth's world, with true states and distances.
 
-    Args:
-        model: the built object, in its own world.
-        truth: the true solid.
-        registration: transform between the worlds of the build and the truth.
-        surface: samples of the true surface; distances are computed only near them.
+    The model is in its own world. Distances are computed only near the samples of the true surface.
     """
     shape = model.shape
     grid = replace(shape.grid, T_world_grid=registration.T_truth_built @ shape.grid.T_world_grid)
@@ -180,11 +176,8 @@ def centres(grid: Grid, cells: Bools) -> Float64:
 def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) -> GrossErrors:
     """Return the volumes of gross errors (see `GrossErrors`) as shares of the true volume.
 
-    Args:
-        voxels: the object's voxels.
-        true_volume_m3: volume of the true solid, to which the volumes are relative.
-        beyond_m3: volume of true solid outside the object's voxels that the build calls empty. It is added to
-            the errors.
+    `beyond_m3`, the true solid outside the object's voxels that the build calls empty, is added to the
+    errors.
     """
     wrong = voxels.known & voxels.judged & (voxels.distance_m > GROSS_M)
     cell_share = voxels.grid.voxel_size_m**3 / true_volume_m3
@@ -197,13 +190,8 @@ def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) 
 def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) -> float:
     """Return the volume of true solid that the build calls empty, outside the object's voxel grid.
 
-    Only cells more than 10 mm from the true mesh count.
-
-    Args:
-        cube: a cube around the true object, truth's world.
-        lost: bool, of the cube's shape: cells in the true solid that are known and empty in the build.
-        voxels: the object's voxels.
-        truth: the truth, with the true mesh.
+    Only cells more than 10 mm from the true mesh count. The cube around the true object is in the truth's
+    world; `lost`, bool of its shape, are cells in the true solid that are known and empty in the build.
     """
     points = centres(cube, lost)
     cells = transform_points(voxels.grid.T_grid_world, points) / voxels.grid.voxel_size_m

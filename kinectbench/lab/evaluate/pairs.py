@@ -196,12 +196,7 @@ def evaluated_pair(
 ) -> EvaluatedPair:
     """Compare one pair with the true solid.
 
-    Args:
-        view: the view's name.
-        frame: index in the sequence.
-        pair: the pair.
-        truth: the true solid.
-        T_world_camera: (4, 4), true pose of the frame's camera in the truth's world.
+    `T_world_camera` (4, 4) is the true pose of the frame's camera in the truth's world.
     """
     cells = truth.cells(_grid_in_truth(pair, T_world_camera))
     true, judged = cells.solid & cells.judged, cells.judged

@@ -9,12 +9,7 @@ from kinectbench.core import RecordingError, StorageError, replaced_file, sha256
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.artefacts.reference import (
-    ComparedMesh,
-    DirectionPart,
-    DirectionsPart,
-    ReferenceFile,
-)
+from kinectbench.core.artefacts.reference import ComparedMesh, DirectionPart, DirectionsPart, ReferenceFile
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.known_cells import known_in
@@ -127,10 +122,7 @@ def _truths(folder: Path) -> Iterator[str]:
 def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool) -> ComparedMesh:
     """Return the metrics of an object against a reference; the mesh's name and hash are left empty.
 
-    Args:
-        model: the object.
-        fit: the reference, registered by `register_reference`.
-        closed: whether the reference's mesh is closed.
+    `fit` is by `register_reference`; `closed` tells whether the reference's mesh is closed.
     """
     head = ComparedMesh(reference="", sha256="", refused=fit.refused, closed=closed)
     if fit.pose is None:

@@ -72,11 +72,7 @@ def refined_figures(
 ) -> RefinedFigures:
     """Register the built mesh to the measured true surface, and measure it before and after.
 
-    Args:
-        model: the built object, in its own world.
-        truth: the true solid.
-        registration: transform between the worlds, from the camera trajectories.
-        surface: samples of the true surface, with a mask of measured samples.
+    The model is in its own world, whose registration is by the camera trajectories.
     """
     mesh = model.shape.mesh.transformed(registration.T_truth_built)
     T = _refining_motion(mesh, truth, surface)

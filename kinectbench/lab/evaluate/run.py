@@ -129,10 +129,7 @@ def _job_of(path: Path, overrides: Sequence[str]) -> Job:
 def make_page(name: str, evaluation: Evaluation, pictures: Mapping[str, bytes]) -> str:
     """Return the evaluation's page as HTML text; the same input gives the same text.
 
-    Args:
-        name: the recording's name.
-        evaluation: all metrics.
-        pictures: {key of `CAPTIONS`: PNG file}; some may be missing.
+    `pictures` are {key of `CAPTIONS`: PNG file}; some may be missing.
     """
     shown = {
         "name": name,

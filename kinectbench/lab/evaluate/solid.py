@@ -189,11 +189,7 @@ def compare_on(
 ) -> EvaluatedSolids:
     """Sample the truth, the built mesh and its labels at the cells of one grid.
 
-    Args:
-        grid: a cube in the truth's world, a multiple of 8 cells a side.
-        model: the built object, in its own world.
-        truth: the true solid.
-        registration: transform between the worlds.
+    The grid is a cube in the truth's world, a multiple of 8 cells a side; the model is in its own world.
     """
     in_built, cells = _in_built(grid, registration), truth.cells(grid)
     return EvaluatedSolids(
@@ -211,13 +207,7 @@ def solid_figures(
     """Compare the solids on 256^3 and 64^3 cells of the canonical cube, and on the object's own voxels.
 
     The coarse cells are reduced from the fine cells. The centres of the coarse cells are not sampled, because
-    the object's box ends exactly at some of them.
-
-    Args:
-        model: the built object, in its own world.
-        truth: the true solid.
-        registration: transform between the worlds.
-        surface: samples of the true surface, with a mask of measured ones.
+    the object's box ends exactly at some of them. The model is in its own world.
     """
     grid = canonical_cube(truth)
     fine = compare_on(grid, model, truth, registration)

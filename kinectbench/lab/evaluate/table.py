@@ -9,12 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from kinectbench.core.artefacts.object import with_interval
-from kinectbench.lab.evaluate.evaluation import (
-    AlignmentFigures,
-    Evaluation,
-    FloorFigures,
-    TrajectoryFigures,
-)
+from kinectbench.lab.evaluate.evaluation import AlignmentFigures, Evaluation, FloorFigures, TrajectoryFigures
 from kinectbench.lab.evaluate.measured import FaceBias
 from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures
 from kinectbench.lab.evaluate.refined import RefinedFigures
@@ -61,10 +56,10 @@ def sections(evaluation: Evaluation) -> tuple[Section, ...]:
     parts: tuple[tuple[str, Callable[[Any], Iterator[FigureRow]], Any], ...] = (
         ("Worlds", _alignment, e.alignment),
         ("Trajectory", _trajectory, e.trajectory),
-        ("Fused scene, at the object", _seen, e.scene),
+        ("Fused scene, at the object", lambda of: _compared("seen", of.visible), e.scene),
         ("Floor", _floor, e.floor),
         ("Surface", _surface, e.surface),
-        ("Measured surface, above the floor", _measured, e.measured),
+        ("Measured surface, above the floor", lambda of: _compared("measured", of.visible), e.measured),
         ("Solid", _solid, e.solid),
         ("Solid, laid rigidly onto the true one", _refined, e.refined),
         ("Masks", _masks, e.masks),
@@ -133,14 +128,6 @@ def _frames(frames: tuple[int, ...]) -> str:
 def _floor(figures: FloorFigures) -> Iterator[FigureRow]:
     yield _row("angle to the true floor", figures.angle_rad, "°")
     yield _row("height above it at the object", figures.height_m, "mm")
-
-
-def _seen(figures: SurfaceFigures) -> Iterator[FigureRow]:
-    yield from _compared("seen", figures.visible)
-
-
-def _measured(figures: SurfaceFigures) -> Iterator[FigureRow]:
-    yield from _compared("measured", figures.visible)
 
 
 def _surface(figures: SurfaceFigures) -> Iterator[FigureRow]:

@@ -271,13 +271,7 @@ def draw_device(camera: Camera, distortion: float, sunlight: float, rng: np.rand
 
 
 def smooth_error(camera: Camera, spread: float, rng: np.random.Generator) -> Float64:
-    """Draw a random map (height, width) that varies smoothly over the image and has zero mean.
-
-    Args:
-        camera: the image's camera.
-        spread: root mean square of the map, in its unit.
-        rng: draws the error.
-    """
+    """Draw a random map (height, width), smooth over the image, of mean 0 and root mean square `spread`."""
     waves = np.arange(DISTORTION_WAVES + 1)
     weights = rng.standard_normal((len(waves), len(waves)))
     weights /= 1 + waves[:, None] ** 2 + waves**2

@@ -36,14 +36,9 @@ class PlannedFrame:
 
 
 def plan_frames(spec: SimulationSpec, T_world_camera: Float64) -> tuple[PlannedFrame, ...]:
-    """Plan which frames are recorded, with which stamps and poses.
+    """Plan which frames are recorded, in which order, with which stamps and poses.
 
-    Args:
-        spec: the settings of the simulation, with its faults.
-        T_world_camera: (n, 4, 4), the true poses of all frames, before any is dropped.
-
-    Returns:
-        The frames, in the order of recording.
+    `T_world_camera` (n, 4, 4) has the true poses of all frames, before any is dropped.
     """
     faults = spec.faults
     rng = spec.rng(FAULTS)

@@ -88,12 +88,7 @@ PRESETS: dict[str, tuple[str, dict[str, object]]] = {
                 "turn_rad_per_s": 2.618,
             },
             "scene": {"walls": 4, "clutter": 8},
-            "sensor": {
-                "exposure_s": 1 / 60,
-                "exposure_drift": 0.3,
-                "color_delay_s": 0.01,
-                "readout_s": 0.03,
-            },
+            "sensor": {"exposure_s": 1 / 60, "exposure_drift": 0.3, "color_delay_s": 0.01, "readout_s": 0.03},
             "faults": {"drop_share": 0.02, "stamp_jitter_s": 0.001},
         },
     ),
@@ -177,9 +172,7 @@ SAMPLES: dict[str, SimulationSpec] = {
 }
 
 # `kinectbench simulate --demo demo/recordings` makes this one.
-DEMO: dict[str, SimulationSpec] = {
-    "chair_02": _spec("chair:seed=9", 60, "tum", "first_camera"),
-}
+DEMO: dict[str, SimulationSpec] = {"chair_02": _spec("chair:seed=9", 60, "tum", "first_camera")}
 
 
 def simulate_named(
@@ -192,7 +185,7 @@ def simulate_named(
     progress: NamedProgress,
     jobs: int = 1,
 ) -> list[Path]:
-    """Simulate and write one recording, or all sample recordings, or all of the demo.
+    """Simulate and write one recording, all sample recordings, or all of the demo; return their paths.
 
     Args:
         out: path of one recording; its default format is a ROS 1 bag if it ends in .bag, else the preset's.
@@ -203,9 +196,6 @@ def simulate_named(
         demo: folder for the demo's recordings.
         progress: called with (recording, frames done, frames), or (folder, recordings done, recordings).
         jobs: number of processes for several recordings.
-
-    Returns:
-        The written recordings.
 
     Raises:
         SettingsError: not exactly one of `out`, `samples` and `demo` is given; the preset or object is

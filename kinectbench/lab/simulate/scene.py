@@ -69,7 +69,7 @@ class Item:
 def make_scene(
     subject: Subject, yaw_rad: float, reach_m: float, settings: SceneSettings, rng: np.random.Generator
 ) -> list[Item]:
-    """Place a subject, turned by `yaw_rad` about z, in surroundings drawn by `rng`.
+    """Place a subject, turned by `yaw_rad` about z, in surroundings drawn by `rng`: all that a ray can hit.
 
     Clutter on the floor near the subject is low and at least 0.6 m away; tall clutter is behind the camera's
     path. So neither occludes the subject.
@@ -80,9 +80,6 @@ def make_scene(
         reach_m: largest horizontal distance of the camera from the origin, metres.
         settings: settings of the surroundings.
         rng: draws all random parts.
-
-    Returns:
-        All items that a ray can hit.
     """
     draw = Draw(rng)
     T_room_object = OrientedBox((0, 0, 0), (1, 1, 1), yaw_rad).T_floor_box

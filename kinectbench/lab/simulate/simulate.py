@@ -18,11 +18,17 @@ from kinectbench.lab.simulate.objects.mesh_object import load_mesh_object
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.path import REACH_PEAK, CameraPath, draw_path
 from kinectbench.lab.simulate.plan import PlannedFrame, plan_frames
-from kinectbench.lab.simulate.render import Renderer, Rendering, make_texture
+from kinectbench.lab.simulate.render import (
+    Renderer,
+    Rendering,
+    StillRenderer,
+    make_texture,
+    still_renderer,
+    turning_only,
+)
 from kinectbench.lab.simulate.scene import make_scene
 from kinectbench.lab.simulate.sensors import SensorUnit, draw_sensor, measured
 from kinectbench.lab.simulate.spec import DEVICE, MIN_RANGE_M, PATH, SCENE, SENSOR, WORLD, SimulationSpec
-from kinectbench.lab.simulate.still_camera import StillRenderer, still_renderer, turning_only
 from kinectbench.lab.simulate.truth import (
     DEPTH_SCALE,
     SurfaceTruth,
@@ -149,12 +155,7 @@ def prepare(spec: SimulationSpec) -> Simulation:
 
 
 def record_frame(simulation: Simulation, index: int) -> SimulatedFrame:
-    """Render one frame of the recording, and simulate the sensor's measurement of it.
-
-    Args:
-        simulation: the result of `prepare`.
-        index: position in `simulation.frames`.
-    """
+    """Render the frame at `index` of `simulation.frames`, and simulate the sensor's measurement of it."""
     spec, plan = simulation.spec, simulation.frames[index]
     renderer = simulation.foreign if plan.foreign and simulation.foreign else simulation.renderer
     exact = renderer.render(spec.camera, _poses_of_rows(simulation, spec.camera.height, plan.time_s))

@@ -115,12 +115,7 @@ class SensorSettings(GrownSettings):
         "kinect_v1", description="ideal: exact depth and colour"
     )
     width: int = Field(640, ge=16, le=4096, description="of the images, pixels; default: the model's own")
-    height: int = Field(
-        480,
-        ge=16,
-        le=4096,
-        description="of the images, pixels; default: the model's own",
-    )
+    height: int = Field(480, ge=16, le=4096, description="of the images, pixels; default: the model's own")
     distortion: float = Field(1.0, ge=0, le=10, description="depth distortion, 1 = a typical device")
     sunlight: float | None = Field(None, ge=0, le=1, description="default: 0 indoors, 0.6 outdoors")
     exposure_s: float = Field(0.0, ge=0, le=0.2, description="of colour: motion blur")

@@ -73,11 +73,7 @@ def match_stereo(
 ) -> Float32:
     """Return the depth image of a noise-free rendering: (height, width) metres along z, 0 = no measurement.
 
-    Args:
-        rendering: the noise-free rendering, of the left camera.
-        camera: the left camera.
-        device: the stereo camera.
-        rng: draws the noise of both images.
+    The rendering is that of the left camera; `rng` draws the noise of both images.
     """
     exact_m = rendering.depth_m
     away_m = np.where(exact_m > 0, exact_m, np.float32(FARTHEST_M))

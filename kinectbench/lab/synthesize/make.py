@@ -42,14 +42,8 @@ def make_synthetic_pair(
     In framing `object` (the paper's), the cube is placed around the full shape's box in the view's axes; in
     framing `view`, it is placed around the visible part alone. The world frame is the model's own, in metres.
     All cells of a mesh are known. In a `SeeableSolid`, gaps that only a finer sensor could see into and walls
-    thinner than a voxel are unknown. `surface_sigma_m` is 0.
-
-    Args:
-        checked: the model.
-        eye: the virtual camera in front of the model.
-        view: the orientation.
-        settings: `up_axis`, `framing`, `noise`, `seed` and `min_containment` are used.
-        name: the model's name; name, view and seed determine the noise.
+    thinner than a voxel are unknown. `surface_sigma_m` is 0. Of the settings, `up_axis`, `framing`, `noise`,
+    `seed` and `min_containment` are used; name, view and seed determine the noise.
 
     Returns:
         The pair, and the reason why it must not be used, or None if it may be used.
@@ -154,14 +148,7 @@ ELSEWHERE = {"name", "license", "models", "categories", "seed", "train", "valida
 
 @dataclass(frozen=True)
 class Task:
-    """One model whose pairs are to be made.
-
-    Attributes:
-        model: the model.
-        split: the benchmark's split that it belongs to.
-        settings: settings of the run.
-        work: the folder of all models' artefacts.
-    """
+    """One model whose pairs are to be made, and its split; `work` is the folder of all models' artefacts."""
 
     model: Model
     split: Split

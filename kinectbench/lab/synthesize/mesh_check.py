@@ -79,15 +79,11 @@ def as_seeable(checked: CheckedMesh, up_axis: Literal["y", "z"]) -> CheckedMesh:
 
 
 def check_mesh(mesh: TriangleMesh, max_faces: int) -> CheckedMesh:
-    """Clean a mesh, check it, and choose the rule that fills it.
+    """Clean a mesh of at most `max_faces`, check it, and choose the rule that fills it.
 
     Equal vertices are merged, and triangles that collapse are dropped. A mesh counts as closed if every edge
     is used equally often in both directions, no triangle occurs twice, and its volume is positive: then the
     winding number of a point is the number of bodies that contain it.
-
-    Args:
-        mesh: any triangles.
-        max_faces: meshes with more are refused.
 
     Raises:
         ShapeError: the mesh is empty, too large, damaged, without area, not finite, inside out, or too far

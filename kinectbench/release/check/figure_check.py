@@ -147,13 +147,7 @@ def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: Releas
 
 
 def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]:
-    """Yield a message if quality.json of a recording differs from benchmark.json.
-
-    Args:
-        name: the file's name, for the message.
-        text: the file's text; its key `method` is ignored.
-        info: the recording's entry in benchmark.json.
-    """
+    """Yield a message if a recording's quality.json, except its key `method`, differs from benchmark.json."""
     stated, own = (
         {key: value for key, value in quality.json_value().items() if key != "method"}
         for quality in (QualityFile.parse(text, name), info.quality)

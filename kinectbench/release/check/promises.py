@@ -63,15 +63,10 @@ EVERY, NEW, OTHER = range(3)
 
 
 def missing_files(metadata: ReleaseInfo, targets: Sequence[Target], names: Collection[str]) -> Iterator[str]:
-    """Yield a message for each missing file that every release of recordings has.
+    """Yield a message for each file that every release of recordings has, and SHA256SUMS (`names`) lacks.
 
     Earlier versions may have written fewer files. Their releases need only the meshes and volumes, by which
     pairs are checked. Images are checked with the tables that list them.
-
-    Args:
-        metadata: content of benchmark.json.
-        targets: the lines of targets.csv.
-        names: the names in SHA256SUMS.
     """
     if metadata.benchmark_sha256_version is None:
         return
@@ -89,11 +84,7 @@ def own_files(
 ) -> dict[str, int]:
     """Return {file: EVERY, NEW or OTHER} of all files that a release of this version may have.
 
-    Args:
-        metadata: content of benchmark.json.
-        targets: the lines of targets.csv.
-        names: the names of the release's files; a schema is stored only of files that are there.
-        color: whether the views' colour images are published.
+    A schema is stored only of files that are there, `names`.
     """
     schemas = (name for name, _ in schema_texts(names, columns_of(targets)))
     files = dict.fromkeys((*TEXTS, LINEAGE_JSON, PRIVACY_JSON, SPLITS_JSON, *schemas), NEW)
@@ -147,11 +138,7 @@ def promise_problems(
 ) -> Iterator[str]:
     """Yield a message for each file or key of a release that must not be there, or is missing.
 
-    Args:
-        contents: the release, which this version published; its other files have passed all checks.
-        metadata: content of benchmark.json.
-        targets: the lines of targets.csv.
-        pair_keys: {recording: {pair file: the keys that it holds}}.
+    The release's other files have passed all checks. `pair_keys` is {recording: {pair file: its keys}}.
     """
     try:
         stated = Privacy.parse(contents.text(PRIVACY_JSON), PRIVACY_JSON)

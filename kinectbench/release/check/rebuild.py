@@ -243,11 +243,7 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
     """Yield a line for each rebuilt file or pair that differs from the published one, or is missing.
 
     If all objects, images and pairs are equal, the other files that `publish` makes are compared, too.
-
-    Args:
-        contents: the release.
-        plan: the plan of the rebuild.
-        build: the folder with a subfolder for each built recording.
+    `build` has a subfolder for each built recording.
     """
     yield from plan.other_terms
     differs = False

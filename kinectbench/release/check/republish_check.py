@@ -50,13 +50,9 @@ def republished_differences(
 ) -> Iterator[str]:
     """Yield a line for each figure, picture or page that differs when recordings are published again.
 
-    Pages are compared only if the release has no other recordings, and was made by this version.
-
-    Args:
-        contents: the release, whose objects, images and pairs equal the rebuilt ones.
-        settings: the release's settings, with the rebuilt recordings only.
-        targets: the pairs of these recordings.
-        build: the folder with a subfolder for each recording.
+    Pages are compared only if the release has no other recordings, and was made by this version. The
+    release's objects, images and pairs equal the rebuilt ones; settings and targets are of the rebuilt
+    recordings only.
     """
     info = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
     scenes = build if settings.publish.color else None

@@ -59,11 +59,7 @@ def text_problems(contents: Contents, metadata: ReleaseInfo, targets: Sequence[T
     """Return a message for each text that differs from the text made of the release's other files.
 
     Missing texts are skipped. Not checked are the settings, and parts of texts that no other file contains.
-
-    Args:
-        contents: the release; its other files have passed all checks.
-        metadata: content of benchmark.json.
-        targets: the lines of targets.csv.
+    The release's other files have passed all checks.
     """
     if not metadata.of_this_version:
         return []

@@ -25,13 +25,7 @@ from kinectbench.core.artefacts.targets import (
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
 from kinectbench.core.geometry import TOO_FAR, is_rigid
 from kinectbench.core.types import Progress, no_progress
-from kinectbench.core.voxels.pair_file import (
-    TRUTH_KEYS,
-    Pair,
-    PairInput,
-    checked_pair,
-    pair_values,
-)
+from kinectbench.core.voxels.pair_file import TRUTH_KEYS, Pair, PairInput, checked_pair, pair_values
 from kinectbench.release.check.agreement_check import Stated, agreement_problems
 from kinectbench.release.check.object_check import object_problems, recording_of, surface_lines
 from kinectbench.release.check.promises import missing_files, promise_problems
@@ -222,11 +216,7 @@ def _view_problems(pair: Pair | PairInput, view: ViewRow | None) -> Iterator[str
 
 
 def _pair_lines(
-    contents: Contents,
-    name: str,
-    metadata: ReleaseInfo,
-    stated: _StatedPair,
-    objects: TruthCheck,
+    contents: Contents, name: str, metadata: ReleaseInfo, stated: _StatedPair, objects: TruthCheck
 ) -> list[str]:
     """Read and check the pair file `name`; `objects` checks its truth. Return a message for each fault."""
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}

@@ -80,14 +80,9 @@ def view_lines(
 ) -> list[str]:
     """Return a message for each difference between a pair's input and the images of its view.
 
-    Nothing is compared if the view has no images, or if they cannot be decoded here (`no_decoder`).
-
-    Args:
-        contents: the release.
-        name: the pair's file.
-        pair: a pair with rigid matrices and a positive, finite `voxel_size_m`.
-        stated: what views.json states about the view.
-        whole: names of the files whose bytes are the published ones; only these are compared.
+    Nothing is compared if the view has no images, or if they cannot be decoded here (`no_decoder`). The pair
+    has rigid matrices and a positive, finite `voxel_size_m`. Only files in `whole`, whose bytes are the
+    published ones, are compared.
     """
     of_depth, of_mask = image_names(name)
     if of_depth not in whole or of_mask not in whole or no_decoder():

@@ -234,15 +234,12 @@ Made by kinectbench of the release {identity}; licence of the data: {license}.
 
 
 def export_bop(release: Release, out: Path, progress: Progress = no_progress) -> int:
-    """Write a release as a BOP data set.
+    """Write a release as a BOP data set; return the number of images.
 
     Args:
         release: the opened release.
         out: a new folder, or an earlier export, which is replaced.
         progress: called with (images done, images in all).
-
-    Returns:
-        The number of images.
 
     Raises:
         SettingsError: `out` holds something else.
@@ -362,10 +359,7 @@ def _write_scene(
 
 def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
     """Return T (4, 4), metres, as {cam_R_<frames>: rotation, row by row, cam_t_<frames>: translation, mm}."""
-    return {
-        f"cam_R_{frames}": T[:3, :3].ravel().tolist(),
-        f"cam_t_{frames}": (T[:3, 3] * MM_PER_M).tolist(),
-    }
+    return {f"cam_R_{frames}": T[:3, :3].ravel().tolist(), f"cam_t_{frames}": (T[:3, 3] * MM_PER_M).tolist()}
 
 
 def _unknown_share(release: Release, target: Target) -> float:

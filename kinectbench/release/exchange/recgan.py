@@ -131,7 +131,7 @@ class FoundPair:
 
 
 def export_recgan(release: Release, out: Path, progress: Progress = no_progress) -> int:
-    """Write every pair of a release as two files: the visible part (`25d`) and the full shape (`3d`).
+    """Write each pair as two files, visible part (`25d`) and full shape (`3d`); return the number of pairs.
 
     The grids are not cropped: the authors' readers centre a cropped grid in 256 cells, which would shift it.
     Names and transforms, for which these files have no place, are in `export.json`. `known`, `seen` and
@@ -141,9 +141,6 @@ def export_recgan(release: Release, out: Path, progress: Progress = no_progress)
         release: the opened release.
         out: a new folder, or an earlier export, which is replaced.
         progress: called with (pairs done, pairs in all).
-
-    Returns:
-        The number of pairs.
 
     Raises:
         SettingsError: `out` holds something else.
@@ -170,7 +167,7 @@ def export_recgan(release: Release, out: Path, progress: Progress = no_progress)
 
 
 def import_recgan(folder: Path, out: Path, progress: Progress = no_progress, views: int | None = None) -> int:
-    """Write a release from all pairs of files in a folder of the authors' layout.
+    """Write a release from a folder of the authors' layout; return the number of pairs.
 
     Pairs written by `kinectbench export` get their names and transforms back from export.json. For other
     files, a recording is named `<model>-<views>`, and its views are numbered in the order of the angles.
@@ -182,9 +179,6 @@ def import_recgan(folder: Path, out: Path, progress: Progress = no_progress, vie
         views: which test and validation pairs to import, by the number of views in their folder's name: 125
             have the viewing angles of the training pairs (SV in the paper), 216 have others (CV). None: all
             pairs, which is allowed only if all test pairs have the same number.
-
-    Returns:
-        The number of pairs.
 
     Raises:
         SettingsError: there are no such files, or there are several numbers of views and none is chosen.

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from kinectbench.core import KinectBenchError, PredictionError, ReleaseError, images
 from kinectbench.core.artefacts.method import Box
-from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored
+from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored, optional
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import Side, ViewsFile
 from kinectbench.core.geometry import Camera, is_rigid
@@ -134,19 +134,15 @@ class ViewCamera(Stored):
     height: Side = Field(description="height of the images, pixels")
     T_world_camera: Matrix4 = Field(description="camera to world, metres")
     color: str = Field(description="where rgb.png comes from, or why there is none")
-    method: str | None = Field(None, description="the method that the files are for")
-    T_camera_method: Matrix4 | None = Field(
-        None, description="similarity from the frame of the method's files to the camera, metres"
+    method: str | None = optional("the method that the files are for")
+    T_camera_method: Matrix4 | None = optional(
+        "similarity from the frame of the method's files to the camera, metres"
     )
-    volume_m: Box | None = Field(
-        None, description="lowest and highest corner of the method's volume, camera frame, metres"
-    )
+    volume_m: Box | None = optional("lowest and highest corner of the method's volume, camera frame, metres")
     cut_share: float | None = Field(
         None, ge=0, le=1, description="share of the object outside the method's volume"
     )
-    cut_of: str | None = Field(
-        None, description="base of cut_share: truth (cells of the solid) or seen (measured points)"
-    )
+    cut_of: str | None = optional("base of cut_share: truth (cells of the solid) or seen (measured points)")
 
 
 # Writes the files of one view into an existing folder, and returns further keys of its camera.json. It may

@@ -1,6 +1,6 @@
 """A release as WebDataset shards: tar files that training reads sequentially.
 
-`kinectbench.decode_sample` (scoring/shards.py) reads the samples back.
+`kinectbench.decode_sample` (scoring/dataset.py) reads the samples back.
 """
 
 import io
@@ -21,10 +21,7 @@ PAIRS_PER_SHARD = 100
 
 
 def export_webdataset(
-    release: Release,
-    out: Path,
-    progress: Progress = no_progress,
-    pairs_per_shard: int = PAIRS_PER_SHARD,
+    release: Release, out: Path, progress: Progress = no_progress, pairs_per_shard: int = PAIRS_PER_SHARD
 ) -> int:
     """Write the pairs of each split as shards `<split>-000000.tar` and so on; the bytes are reproducible.
 

@@ -30,11 +30,7 @@ HUGGING_FACE = {
 def reasons_against_distribution(
     recordings: Mapping[str, RecordingInfo | RecordingSettings],
 ) -> tuple[str, ...]:
-    """Return why the data must not be distributed, one line each; empty if distribution is allowed.
-
-    Args:
-        recordings: {id: recording with its licence and source}.
-    """
+    """Return why the data must not be distributed, one line each; empty if distribution is allowed."""
     reasons = []
     for key, word in (("license", "licence"), ("source", "source")):
         silent = [name for name, info in sorted(recordings.items()) if getattr(info, key) == UNSPECIFIED]
@@ -74,13 +70,7 @@ def without_tags(text: str) -> str:
 
 
 def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo]) -> str:
-    """Return the text of LICENSE: the benchmark's licence, then licence and source of each recording.
-
-    Args:
-        name: the benchmark's name.
-        license: the benchmark's licence.
-        recordings: {id: the recording's entry in benchmark.json}.
-    """
+    """Return the text of LICENSE: the benchmark's licence, then licence and source of each recording."""
     head = "No licence is stated for the benchmark as a whole." if license == UNSPECIFIED else license
     lines = [f"The data of the benchmark '{name}'", "", f"Licence: {head}"]
     if url := license_url(license):
@@ -97,11 +87,8 @@ def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo
 def citation_text(citation: CitationSettings, name: str, license: str) -> str:
     """Return the text of CITATION.cff (Citation File Format 1.2.0) of a dataset.
 
-    Args:
-        citation: the benchmark's citation; `name` replaces a missing title and authors.
-        name: the benchmark's name.
-        license: the licence. It is left out unless it is in `HUGGING_FACE`, because the format requires an
-            SPDX identifier.
+    `name` replaces a missing title and authors. A licence that is not in `HUGGING_FACE` is left out, because
+    the format requires an SPDX identifier.
     """
     content: dict[str, object] = {
         "cff-version": "1.2.0",

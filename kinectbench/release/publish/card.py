@@ -142,12 +142,7 @@ def card(
 ) -> str:
     """Return README.md, the card, as Markdown with the YAML head that Hugging Face reads.
 
-    Args:
-        info: content of benchmark.json.
-        targets: every pair.
-        warnings: the release's warnings, one line each.
-        license: the licence of all recordings.
-        texts: the texts that depend on the origin of the pairs.
+    `license` is that of all recordings; `texts` depend on the origin of the pairs.
     """
     example = next((t for t in targets if t.split not in info.inputs_only), targets[0])
     hidden = example.split in info.inputs_only

@@ -39,10 +39,7 @@ RECORDING_IN_FILE = r"views/([^/]+)/views\.json"
 def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS)) -> dict[str, object]:
     """Return the content of croissant.json.
 
-    Args:
-        about: the description of the release.
-        folder: the release's folder; files in `LATER` and SHA256SUMS may be missing.
-        columns: columns of the release's targets.csv.
+    Files in `LATER` and SHA256SUMS may be missing in the folder.
 
     Source: https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, …/croissant-rai-spec.html
     """
@@ -55,9 +52,7 @@ def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS
 def described_files(sums: Mapping[str, str], columns: Sequence[str]) -> dict[str, Any]:
     """Return those keys of croissant.json that depend on the files of the release.
 
-    Args:
-        sums: {file: SHA-256}; only those of top-level files are used.
-        columns: columns of the release's targets.csv.
+    Of `sums`, {file: SHA-256}, only top-level files are used.
     """
     records = [_targets(columns), _pairs()]
     if any(fnmatchcase(name, FILE_SETS[VIEW_LISTS][0]) for name in sums):

@@ -51,12 +51,7 @@ def datasheet(
 ) -> str:
     """Return the datasheet as Markdown.
 
-    Args:
-        info: content of benchmark.json; held-back recordings have no quality.
-        settings: the benchmark's settings; `publish.datasheet` has the answers.
-        targets: every pair.
-        warnings: the release's warnings, one line each.
-        color: whether colour images are "left out", "published" or do not exist ("none").
+    Held-back recordings have no quality. Colour images are "left out", "published" or do not exist ("none").
     """
     infos, held_back = info.recordings, "Nothing is held back."
     if info.held_back:

@@ -46,9 +46,7 @@ def look_line(name: str, look: Sequence[str]) -> str:
 
 
 def gate_lines(
-    reasons: Iterable[str],
-    poor: Mapping[str, tuple[Sequence[str], str]],
-    look: Mapping[str, Sequence[str]],
+    reasons: Iterable[str], poor: Mapping[str, tuple[Sequence[str], str]], look: Mapping[str, Sequence[str]]
 ) -> Iterator[str]:
     """Yield the card's lines on recordings that are left out, poor, or to review.
 
@@ -180,11 +178,7 @@ class Gate:
 def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], allow_poor: bool) -> Gate:
     """Decide which recordings of a benchmark are published.
 
-    Args:
-        settings: the benchmark's settings, with limits and reviews.
-        build: the folder with a subfolder for each recording.
-        recordings: ids of the built recordings.
-        allow_poor: whether recordings that violate limits are published, too.
+    `recordings` are the built ones; with `allow_poor`, those that violate limits are published, too.
 
     Raises:
         ReleaseError: the same frames would be published under two ids in different splits.

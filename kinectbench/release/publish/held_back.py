@@ -127,12 +127,8 @@ def refuse_framing(settings: BenchmarkSettings) -> None:
 def isolate(settings: BenchmarkSettings, build: Path, recordings: Collection[str]) -> Isolated:
     """Draw one view of each object; all views with a pair, in all its recordings, have equal probability.
 
-    The draw depends only on `views.seed` and the object's name and views, not on other objects.
-
-    Args:
-        settings: the benchmark's settings.
-        build: the folder with a subfolder for each recording.
-        recordings: ids of recordings whose truth is held back.
+    The draw depends only on `views.seed` and the object's name and views, not on other objects. The truth of
+    the `recordings` is held back.
     """
     by_id, candidates = settings.by_id(), dict[str, list[tuple[str, str]]]()
     for name in sorted(recordings):
@@ -163,12 +159,7 @@ def isolated_view(view: PosedView) -> PosedView:
 
 
 def isolated_input(pair: Pair, view: PosedView) -> PairInput:
-    """Return the input of a pair in the camera frame; `seen` is computed from the isolated view alone.
-
-    Args:
-        pair: the complete pair, of framing `view`.
-        view: the isolated view.
-    """
+    """Return the input of a pair of framing `view` in the camera frame; `seen` is by the view alone."""
     values = {key: getattr(pair, key) for key in INPUT_KEYS}
     T_camera_grid = np.round(invert_rigid(pair.T_world_camera) @ pair.T_world_grid, DECIMALS) + 0.0  # no -0
     own = Grid(pair.grid.shape, pair.voxel_size_m, T_camera_grid)
@@ -180,10 +171,7 @@ def isolated_input(pair: Pair, view: PosedView) -> PairInput:
 def write_isolated_images(view: PosedView, color: Path | None, folder: Path) -> None:
     """Write the images of an isolated view: depth, mask, and colour that is black outside the mask.
 
-    Args:
-        view: the isolated view.
-        color: its colour image. No colour is written if it is None or of another size than the depth.
-        folder: the folder of the recording's views in the release.
+    No colour is written if it is None or of another size than the depth.
 
     Raises:
         StorageError: the colour image is damaged.

@@ -17,9 +17,10 @@ from kinectbench.core import listed
 from kinectbench.core.artefacts.benchmark import RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.targets import SPLITS, Target, by_recording
+from kinectbench.core.even_choice import spread
 from kinectbench.core.geometry import read_own_ply
 from kinectbench.core.images import data_uri, png
-from kinectbench.core.listing import SHOWN, Listing, spread
+from kinectbench.core.listing import SHOWN, Listing
 from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.turntable import FRAMES, QUALITY, turntable
 from kinectbench.core.types import Bools, Float64, Rgb
@@ -268,11 +269,7 @@ def category_texts(
 ) -> Iterator[tuple[str, str]]:
     """Yield (file, text) of each category's page. Isolated recordings are listed without a picture.
 
-    Args:
-        info: content of benchmark.json.
-        settings: the benchmark's settings.
-        targets: every pair.
-        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
+    Without the release's folder, `NO_PICTURE` stands for each picture.
 
     Raises:
         PairError: a pair is damaged.

@@ -48,11 +48,7 @@ LOOKED_FOR = (
     "paths on the disk of whoever published it",
     "EXIF, XMP, IPTC and comments in colour images",
 )
-LOOKED_IN = (
-    "JSON files",
-    "the settings in benchmark.json",
-    "headers of colour images",
-)
+LOOKED_IN = ("JSON files", "the settings in benchmark.json", "headers of colour images")
 KEPT = (
     "capture times of the frames (stamp_ns), as the recording has them",
     "names of the recordings' files (lineage.json)",
@@ -108,9 +104,7 @@ def scrubbed_jpeg(data: bytes, file: str, removals: list[Removed]) -> bytes:
 def privacy(color: ColorPublished, removals: list[Removed]) -> Privacy:
     """Return the content of privacy.json.
 
-    Args:
-        color: whether colour images are "left out", "published" or do not exist ("none").
-        removals: the removed private facts.
+    Colour images are "left out", "published" or do not exist ("none").
     """
     return Privacy(
         format_version=1,

@@ -141,10 +141,7 @@ class Published:
 def publish_recording(built: Built, folder: Path, removals: list[Removed]) -> Published | None:
     """Write one recording's files into a release; return its published part, or None if it has no pair.
 
-    Args:
-        built: the recording.
-        folder: the release's folder.
-        removals: a list to which removed private facts are added.
+    Removed private facts are added to `removals`.
 
     Raises:
         ReleaseError: a pair or another file to copy is missing, a pair is damaged, or it has another framing
@@ -183,8 +180,7 @@ def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
 def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, float]:
     """Write a pair into a release as built, or only its input if its truth is held back.
 
-    Returns:
-        The pair's target; the share of the true surface that its view sees.
+    Return the pair's target, and the share of the true surface that its view sees.
     """
     recording = built.recording
     content, pair = _read_pair(built, view)

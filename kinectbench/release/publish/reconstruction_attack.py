@@ -14,8 +14,8 @@ import numpy as np
 
 from kinectbench.core import images
 from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.even_choice import spread
 from kinectbench.core.geometry import Camera, Grid, depth_sigma_m, invert_rigid, transform_points
-from kinectbench.core.listing import spread
 from kinectbench.core.types import MM_PER_M, Bools, Float32, Float64
 from kinectbench.core.voxels.convex_hull import filled_hull
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, unpack
@@ -52,11 +52,7 @@ class PosedView:
 
 
 def attack_line(infos: Mapping[str, RecordingInfo]) -> str | None:
-    """Return a warning with the highest IoU of a rebuilt object, and the remedy; None if none was rebuilt.
-
-    Args:
-        infos: {recording: its entry in benchmark.json}.
-    """
+    """Return a warning with the highest IoU of a rebuilt object, and the remedy; None if none was rebuilt."""
     results = {
         name: (info.rebuilt_iou, info.rebuilt_single_iou)
         for name, info in infos.items()
@@ -87,9 +83,7 @@ def read_posed_view(folder: Path, view: str, camera: Camera, T_world_camera: Flo
 def attack_ious(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> tuple[float, float]:
     """Return the IoU of an object rebuilt from its public views, by the best method of `solids`.
 
-    Args:
-        views: {name: public view} of the object.
-        pair_of: function that returns the complete pair of a view, given its name.
+    `pair_of` returns the complete pair of a view, given its name.
 
     Returns:
         Two IoUs with the truth on known cells: of the solid rebuilt from all views, and of the solid rebuilt

@@ -47,12 +47,7 @@ PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha25
 
 
 def schema_texts(names: Iterable[str], columns: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield (file, text) of the schemas of a release.
-
-    Args:
-        names: names of the release's files.
-        columns: columns of its targets.csv.
-    """
+    """Yield (file, text) of the schemas of a release with files `names` and these columns of targets.csv."""
     stored = resources.files("kinectbench.release.publish").joinpath(SCHEMAS)
     present = list(names)
     for schema, (files, _) in JSON_FILES.items():
@@ -67,24 +62,14 @@ def schema_texts(names: Iterable[str], columns: Sequence[str]) -> Iterator[tuple
 
 
 def write_schemas(folder: Path, columns: Sequence[str]) -> None:
-    """Write the schemas of all files in the release folder, and the schema of benchmark.json.
-
-    Args:
-        folder: the release's folder; benchmark.json is written later.
-        columns: columns of the release's targets.csv.
-    """
+    """Write the schemas of all files in the release folder, and of benchmark.json, which is written later."""
     names = [path.relative_to(folder).as_posix() for path in folder.rglob("*.json")]
     for name, text in schema_texts(names, columns):
         write_below(folder / name, text.encode())
 
 
 def schema_problems(name: str, text: str) -> Iterator[str]:
-    """Yield a message for each schema violation of a release's JSON file; nothing if it has no schema.
-
-    Args:
-        name: the file's name, relative to the release.
-        text: the file's content.
-    """
+    """Yield a message for each schema violation of a release's JSON file; nothing if it has no schema."""
     for files, model in JSON_FILES.values():
         if fnmatchcase(name, files):
             try:

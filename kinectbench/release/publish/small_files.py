@@ -112,12 +112,7 @@ def small_texts(
 ) -> Iterator[tuple[str, str]]:
     """Yield (file, text) of the texts that every release has: card, READING.md, licence and citation.
 
-    Args:
-        info: content of benchmark.json.
-        targets: every pair.
-        warnings: the release's warnings, one line each.
-        words: the parts of the card's text that depend on the origin of the pairs.
-        citation: authors, title, version and address for citing the release.
+    `words` are those of the card that depend on the origin of the pairs.
     """
     license = common_license(info.recordings, info.license)
     why = "an open mesh, `surfaces/<recording>.ply`" if info.surface_truth else "held back"

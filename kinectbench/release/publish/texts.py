@@ -30,11 +30,7 @@ def release_warnings(
 ) -> list[str]:
     """Return a release's warnings: possible harm first, then faults of the truth, then limits of its use.
 
-    Args:
-        info: content of benchmark.json.
-        settings: the benchmark's settings.
-        targets: every pair.
-        of_gate: the lines on recordings that are left out, poor, to review, or published twice.
+    `of_gate` are the lines on recordings that are left out, poor, to review, or published twice.
     """
     infos = info.recordings
     return [
@@ -100,12 +96,6 @@ def stated_warnings(
     """Return the warnings of a release of recordings, derived from its files, without advice.
 
     Lines on recordings with the same frames cannot be derived, so they are taken from the card.
-
-    Args:
-        info: content of benchmark.json.
-        settings: the benchmark's settings.
-        targets: every pair.
-        card_text: text of the card.
     """
     # In the order of the settings, as `gate` judges them.
     infos = {each.id: info.recordings[each.id] for each in settings.recordings if each.id in info.recordings}
@@ -148,14 +138,7 @@ def release_texts(
 def release_facts(
     info: ReleaseInfo, settings: BenchmarkSettings, warnings: Sequence[str], lineage: Lineage | None
 ) -> Mapping[str, dict[str, Any]]:
-    """Return {file: keys with their values} for croissant.json and datacite.json of a release of recordings.
-
-    Args:
-        info: content of benchmark.json.
-        settings: the benchmark's settings.
-        warnings: the release's warnings, one line each.
-        lineage: content of lineage.json.
-    """
+    """Return {file: keys and values} for croissant.json and datacite.json of a release of recordings."""
     citation = settings.publish.citation
     about = about_release(info, RECORDED, citation, day_by(citation, lineage), warnings)
     return {CROISSANT: described(about), DATACITE: datacite(about)}

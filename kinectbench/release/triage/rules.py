@@ -81,13 +81,8 @@ def judged(
 ) -> Iterator[Judged]:
     """Yield the reasons against every recording of a benchmark, in the order of the settings.
 
-    Values that are not known give no reason.
-
-    Args:
-        settings: the benchmark's settings, with limits and the user's reviews.
-        build: the folder with a subfolder for each recording.
-        built: ids of recordings whose pairs are built.
-        by_limits_alone: whether to find only violated limits and failures, which takes milliseconds.
+    Values that are not known give no reason. `built` are ids of recordings whose pairs are built. To find
+    only violated limits and failures, `by_limits_alone`, takes milliseconds.
 
     Raises:
         StorageError: a built file is damaged.

@@ -155,10 +155,7 @@ def same_objects(
 def triage(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> TriageFile:
     """Sort the recordings of a benchmark into accept, look and reject, by the rules that `publish` applies.
 
-    Args:
-        settings: the benchmark's settings, with limits and the user's reviews.
-        build: the folder with a subfolder for each recording.
-        built: ids of recordings whose pairs are built.
+    `built` are ids of recordings whose pairs are built.
 
     Raises:
         StorageError: a built file is damaged.
@@ -228,10 +225,7 @@ def _same(
             write += f", split: {first.split}"
         pairs.append(
             SameObject(
-                recordings=(a, b),
-                agreement=round(value, 3),
-                splits=(first.split, second.split),
-                write=write,
+                recordings=(a, b), agreement=round(value, 3), splits=(first.split, second.split), write=write
             )
         )
     yield from sorted(pairs, key=lambda pair: (pair.splits[0] == pair.splits[1], -pair.agreement))

@@ -13,13 +13,7 @@ from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, numbers_of
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
-from kinectbench.release.exchange.rgbd import (
-    RgbdView,
-    framed,
-    parts_of,
-    write_color,
-    write_png,
-)
+from kinectbench.release.exchange.rgbd import RgbdView, framed, parts_of, write_color, write_png
 from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape

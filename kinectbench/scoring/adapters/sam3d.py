@@ -29,12 +29,7 @@ def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVie
     """Write a view as SAM 3D Objects reads it: image.png, mask.png and pointmap.npy.
 
     pointmap.npy is (height, width, 3) float32, metres, in PyTorch3D's camera frame (x left, y up). NaN means
-    no depth.
-
-    Args:
-        release: unused; other adapters need it.
-        view: colour, mask and depth.
-        folder: where the files are written.
+    no depth. `release` is unused; other adapters need it.
 
     Returns:
         The view, and an entry for camera.json: `T_camera_method` (4, 4).

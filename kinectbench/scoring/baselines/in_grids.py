@@ -29,7 +29,7 @@ from kinectbench.scoring.camera.score_camera_method import settings_in_space
 from kinectbench.scoring.pair_result import Counting, ceilings, count, counting_of, surfaces
 from kinectbench.scoring.protocols import space_alone
 from kinectbench.scoring.read_table import read_table
-from kinectbench.scoring.request import check_words
+from kinectbench.scoring.request import Request, check_words
 from kinectbench.scoring.rounds import pairs_to_score
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_packed_truth
@@ -79,13 +79,29 @@ def score_baselines(
     _refuse_to_replace([out / name / ScoreTable.FILE for name in names])
     in_space = space_alone(protocols, upsampling)
     scoring = scoring_of(in_space or counting_of(release, protocols, upsampling, surface), names)
-    folders = {} if thresholds_file else {name: out / name for name in scoring.names}
-    tables = reusable_tables(folders, release, scoring, jobs, for_comparison=False)
+    request = Request(thresholds_file=thresholds_file, jobs=jobs, progress=progress)
+    return _tables(release, scoring, {name: out / name for name in scoring.names}, request)
+
+
+def _tables(
+    release: Release,
+    scoring: Scoring,
+    folders: Mapping[str, Path],
+    request: Request,
+    *,
+    for_comparison: bool = False,
+) -> list[ScoreTable]:
+    """Return a table for each of `scoring.names`; make and write those that no earlier run left in `folders`.
+
+    With a threshold file, no table is reused. `for_comparison` is as in `reusable_tables`.
+    """
+    earlier = {} if request.thresholds_file else folders
+    tables = reusable_tables(earlier, release, scoring, request.here, for_comparison=for_comparison)
     if wanted := [name for name in scoring.names if name not in tables]:
-        made = scoring.make(release, wanted, thresholds_file=thresholds_file, jobs=jobs, progress=progress)
-        for table in made:
-            table.write(out / table.method)
-            tables[table.method] = table
+        for table in scoring.make(release, wanted, request=request):
+            made = table.model_copy(update={"baseline": True}) if for_comparison else table
+            made.write(folders[table.method])
+            tables[table.method] = made
     return [tables[name] for name in scoring.names]
 
 
@@ -121,31 +137,19 @@ def _refuse_to_replace(paths: Sequence[Path]) -> None:
 
 
 def counted_baselines(
-    release: Release,
-    names: Sequence[str],
-    counting: Counting,
-    *,
-    thresholds_file: Path | None = None,
-    jobs: int = 1,
-    progress: Progress = no_progress,
+    release: Release, names: Sequence[str], counting: Counting, request: Request
 ) -> list[ScoreTable]:
     """Return the tables of the named baselines, in the order of `names`.
 
-    Args:
-        release: the release that is predicted.
-        names: baselines that the release allows (`possible_baselines`).
-        counting: how pairs are counted; surface metrics are computed on the test split only.
-        thresholds_file: a threshold file (`read_thresholds`); default: thresholds are chosen per baseline on
-            the validation split, or are 0.5 if it has no pairs.
-        jobs: number of processes.
-        progress: called with (pairs done, pairs in all).
+    Surface metrics are computed on the test split only. Without a threshold file in the request, thresholds
+    are chosen per baseline on the validation split, or are 0.5 if it has no pairs.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
         SettingsError: an unusable threshold file.
     """
-    rates = base_rates(release, jobs)
-    fixed = None if thresholds_file is None else thresholds_for(thresholds_file, release.split("test"))
+    rates, file = base_rates(release, request.here), request.thresholds_file
+    fixed = None if file is None else thresholds_for(file, release.split("test"))
     splits: tuple[Split, ...] = ("validation", "test") if fixed is None else ("test",)
     # Only surface metrics need the thresholds. Without them, one round suffices, and processes start only
     # once.
@@ -155,8 +159,8 @@ def counted_baselines(
     counted: dict[Target, Counts] = {}
     for together in rounds:
         tasks = baseline_tasks(release, names, rates, together)
-        tell = partial(_tell, progress, len(counted), pairs)
-        results = run_tasks(partial(_count, counting, thresholds), tasks, jobs, tell)
+        tell = partial(_tell, request.progress, len(counted), pairs)
+        results = run_tasks(partial(_count, counting, thresholds), tasks, request.here, tell)
         counted |= {task.target: of for task, of in zip(tasks, results, strict=True)}
         if "validation" in together:
             thresholds = {name: _thresholds_on_validation(release, name, counted) for name in names}
@@ -224,7 +228,7 @@ def comparison_baselines(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> list[ScoreTable]:
-    """Score every baseline that the release allows, for comparison with a method.
+    """Score every baseline that the release allows, for comparison with a method; return their tables.
 
     Tables are stored in `out/baselines/<name>/scores.json`, or for the protocol `camera` in
     `out/baselines/<name>+camera/`. Valid tables of an earlier run are reused (`reusable_tables`). Thresholds
@@ -240,9 +244,6 @@ def comparison_baselines(
         jobs: number of processes.
         progress: called with (pairs done, pairs in all); not called if all tables are reused.
 
-    Returns:
-        A table for each baseline.
-
     Raises:
         PairError, ReleaseError: a pair cannot be read.
         StorageError: the disk is full or read-only.
@@ -252,9 +253,5 @@ def comparison_baselines(
     counting = Counting(tuple(protocols), upsampling, surface=False)
     scoring, sign = scoring_of(("camera",) if in_space else counting, names), "+camera" * in_space
     folders = {name: out / BASELINES_FOLDER / f"{name}{sign}" for name in scoring.names}
-    tables = reusable_tables(folders, release, scoring, jobs, for_comparison=True)
-    if wanted := [name for name in scoring.names if name not in tables]:
-        for table in scoring.make(release, wanted, jobs=jobs, progress=progress):
-            tables[table.method] = table.model_copy(update={"baseline": True})
-            tables[table.method].write(folders[table.method])
-    return [tables[name] for name in scoring.names]
+    request = Request(jobs=jobs, progress=progress)
+    return _tables(release, scoring, folders, request, for_comparison=True)

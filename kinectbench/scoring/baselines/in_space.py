@@ -2,13 +2,11 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 
 from kinectbench.core import PredictionError
 from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import BaseRate, ScoreTable
-from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline
@@ -20,6 +18,7 @@ from kinectbench.scoring.camera.score_grid_view import grid_result
 from kinectbench.scoring.camera.score_view import Asked, ViewResult, asked_rows
 from kinectbench.scoring.camera.truth import files_of, read_space_truth
 from kinectbench.scoring.counts import tally
+from kinectbench.scoring.request import Request
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_packed_truth
 from kinectbench.scoring.workers import run_tasks
@@ -30,40 +29,28 @@ Results = dict[str, ViewResult | str]
 
 
 def space_baselines(
-    release: Release,
-    names: Sequence[str],
-    protocols: tuple[str, ...],
-    *,
-    thresholds_file: Path | None = None,
-    jobs: int = 1,
-    progress: Progress = no_progress,
+    release: Release, names: Sequence[str], protocols: tuple[str, ...], request: Request
 ) -> list[ScoreTable]:
     """Return the tables of the named baselines, in this order, except baselines in `WITHOUT_SURFACE`.
 
-    Args:
-        release: the release that is predicted.
-        names: baselines that the release allows (`possible_baselines`).
-        protocols: camera, aligned or both.
-        thresholds_file: a threshold file (`read_thresholds`); default: thresholds are chosen per baseline on
-            the validation split, or are 0.5 if it has no pairs.
-        jobs: number of processes.
-        progress: called with (views done, views in all).
+    Without a threshold file in the request, thresholds are chosen per baseline on the validation split, or
+    are 0.5 if it has no pairs.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
         SettingsError: an unusable threshold file.
     """
     names = [name for name in names if name not in WITHOUT_SURFACE]
-    rates = base_rates(release, jobs)
+    rates = base_rates(release, request.here)
     validation: dict[Target, str | None] = {}
-    if thresholds_file is None:
+    if request.thresholds_file is None:
         validation = dict.fromkeys(release.split("validation"))
-        thresholds = thresholds_of_baselines(release, names, rates, jobs)
+        thresholds = thresholds_of_baselines(release, names, rates, request.here)
     else:
-        thresholds = dict.fromkeys(names, thresholds_for(thresholds_file, release.split("test")))
+        thresholds = dict.fromkeys(names, thresholds_for(request.thresholds_file, release.split("test")))
     tasks = baseline_tasks(release, names, rates, ("test",))
     score = partial(_results, thresholds, tuple(asked_rows(protocols, "metric")))
-    found = run_tasks(score, tasks, jobs, progress)
+    found = run_tasks(score, tasks, request.here, request.progress)
     results = {task.target: of for task, of in zip(tasks, found, strict=True)}
     settings = as_of_baseline(settings_in_space(protocols, "error"))
     return [
@@ -90,12 +77,7 @@ def thresholds_of_baselines(
 ) -> dict[str, Thresholds]:
     """Return {baseline: its thresholds, chosen on its predictions for all validation pairs}.
 
-    Args:
-        release: the release that is predicted.
-        names: baselines that the release allows (`possible_baselines`).
-        rates: as `base_rates` returns them.
-        jobs: number of processes.
-        upsampling: "half-pixel" or "corner-aligned".
+    `rates` are as `base_rates` returns them.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.

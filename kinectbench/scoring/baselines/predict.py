@@ -58,10 +58,7 @@ def possible_baselines(release: Release) -> tuple[str, ...]:
 
 
 def baseline_tasks(
-    release: Release,
-    names: Sequence[str],
-    rates: Mapping[str, BaseRate],
-    splits: Sequence[Split] = SPLITS,
+    release: Release, names: Sequence[str], rates: Mapping[str, BaseRate], splits: Sequence[Split] = SPLITS
 ) -> list[BaselineTask]:
     """Return a task for every pair of the given splits; `rates` are the base rates of the categories."""
     values = {category: rate.value for category, rate in rates.items()}

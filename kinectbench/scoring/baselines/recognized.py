@@ -21,12 +21,7 @@ def made_table(
 ) -> ScoreTable:
     """Return a method's table; if its rows equal those of a baseline, it is marked as a baseline's.
 
-    Args:
-        release: the release that was predicted.
-        make: makes the method's table from settings.
-        settings: the settings that the scores depend on, as `describe` returns them.
-        counting: how pairs were counted.
-        jobs: number of processes.
+    `make` makes the table from settings; those that the scores depend on are as `describe` returns them.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
@@ -40,13 +35,8 @@ def is_of_baseline(release: Release, table: ScoreTable, how: Counting | tuple[st
 
     The baseline predicts all pairs again, so that a table with a few other predictions is not accepted.
     Thresholds must be from a file, or those that the baseline chooses on the validation split: with other
-    thresholds it would score lower, and be easier to surpass.
-
-    Args:
-        release: the release that was predicted.
-        table: the table; its method may have any name.
-        how: how pairs were counted; or the protocols (camera, aligned) of a table in space.
-        jobs: number of processes.
+    thresholds it would score lower, and be easier to surpass. `how` tells how pairs were counted, or the
+    protocols (camera, aligned) of a table in space.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.

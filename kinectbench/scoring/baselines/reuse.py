@@ -22,7 +22,7 @@ class Scoring:
     Attributes:
         names: the baselines that can be scored in this way.
         settings: the settings that their tables state.
-        make: makes tables, given (release, names) and the keywords thresholds_file, jobs and progress.
+        make: makes tables, given (release, names) and the keyword `request`, a `Request`.
         again: yields (baseline, its rows) for tasks of the test split, given (tasks, {baseline: thresholds},
             {category: base rate}, number of processes).
     """
@@ -34,24 +34,13 @@ class Scoring:
 
 
 def reusable_tables(
-    folders: Mapping[str, Path],
-    release: Release,
-    scoring: Scoring,
-    jobs: int,
-    *,
-    for_comparison: bool,
+    folders: Mapping[str, Path], release: Release, scoring: Scoring, jobs: int, *, for_comparison: bool
 ) -> dict[str, ScoreTable]:
     """Return the stored tables that are still valid, {baseline: its table}.
 
     A table is valid if release, settings, and the versions of `score` and of the baselines are unchanged, and
     its thresholds are from no file. A few of its rows are computed again as a check, and must be equal.
-
-    Args:
-        folders: {baseline: folder of its table}.
-        release: the release that is scored.
-        scoring: how baselines are scored now.
-        jobs: number of processes.
-        for_comparison: whether `comparison_baselines` stored the tables.
+    `for_comparison` tells whether `comparison_baselines` stored them.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.

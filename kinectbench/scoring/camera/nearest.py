@@ -311,12 +311,7 @@ class Samples:
 
 
 class NearestOfMoving:
-    """Finds the nearest samples of points that move a little between calls.
-
-    Args:
-        samples: the samples to search.
-        count: number of points.
-    """
+    """Finds the nearest of `samples` for `count` points that move a little between calls."""
 
     def __init__(self, samples: Samples, count: int) -> None:
         self._samples = samples

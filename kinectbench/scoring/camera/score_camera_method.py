@@ -45,13 +45,7 @@ def score_in_camera(
 ) -> ScoreTable:
     """Score the test split of a method whose predictions are in the camera frame.
 
-    Args:
-        release: the release that was predicted.
-        folder: the method's predictions; untrusted.
-        declared: the method's method.json.
-        method: the method's name.
-        protocols: camera, aligned or both.
-        request: the options; an empty prediction has the worst value of each metric.
+    The predictions are untrusted; an empty one has the worst value of each metric.
 
     Returns:
         The table. A prediction that cannot be scored is listed in `failures`; all others are scored.
@@ -90,11 +84,7 @@ def score_in_camera(
 def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) -> None:
     """Refuse a table that would have too many rows, before computing it, which may take hours.
 
-    Args:
-        views: number of views to score.
-        asked: the (protocol, kind of registration) pairs to score (`asked_rows`).
-        hypotheses: number of predictions per view; if there are several, there are three times as many rows:
-            of the first prediction, of the best one, and of the mean.
+    With several hypotheses per view there are three times as many rows: of the first, the best, and the mean.
 
     Raises:
         SettingsError: the table would have more than `MOST_ROWS_IN_SPACE` rows.

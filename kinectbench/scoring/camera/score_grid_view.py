@@ -89,20 +89,11 @@ SEARCHING = Counting(("paper",), surface=False)
 
 
 def score_grid_in_space(
-    release: Release,
-    asked: Plan,
-    method: str,
-    protocols: tuple[str, ...],
-    request: Request,
+    release: Release, asked: Plan, method: str, protocols: tuple[str, ...], request: Request
 ) -> ScoreTable:
     """Score in space, on the test split, a method that predicts voxels in each pair's grid; return the table.
 
-    Args:
-        release: the release that was predicted.
-        asked: the method's prediction files, and its thresholds or how to choose them.
-        method: the method's name.
-        protocols: camera, aligned or both.
-        request: the options that `asked` was made with; progress is of the test views.
+    `asked`, made with `request`, has the prediction files, and thresholds or how to choose them.
 
     Raises:
         ReleaseError: a pair file is missing or changed.

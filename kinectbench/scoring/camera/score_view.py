@@ -319,9 +319,7 @@ def cut_share(truth: SpaceTruth, shape: CameraShape, volume_m: Float64 | None) -
 def outside_mask_share(truth: SpaceTruth, surface: Surface) -> float | None:
     """Return the area share of a predicted surface that projects outside the mask; None if there is no mask.
 
-    Args:
-        truth: the truth of the view.
-        surface: the predicted surface, camera frame; points behind the camera count as outside.
+    The surface is in the camera frame; points behind the camera count as outside.
     """
     if truth.K is None or truth.mask is None:
         return None

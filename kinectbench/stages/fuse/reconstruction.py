@@ -158,15 +158,8 @@ def observe(
 
     Depth is fused as a surface up to the farthest point of the grid (`grid_range_m`), unless the settings
     give the largest depth. Depth beyond that only marks the space in front of it as free. An example is the
-    space under a table's top, through which the cameras see a floor that is farther away than the table.
-
-    Args:
-        sequence: the recording.
-        trajectory: poses.
-        frames: indices of the frames to fuse.
-        grid: sides must be multiples of 8 cells.
-        settings: depth range, truncation (in voxels of this grid).
-        progress: called with (done, total).
+    space under a table's top, through which the cameras see a floor that is farther away than the table. The
+    grid's sides must be multiples of 8 cells; the truncation is in its voxels.
     """
     frames = np.asarray(list(frames), np.int64)
     max_depth_m = grid_range_m(trajectory.T_world_camera[frames], grid, settings)

@@ -32,11 +32,7 @@ NOWHERE = np.int64(np.iinfo(np.int64).min)
 
 
 def blocks_near_surface(
-    depth_m: Float32,
-    camera: Camera,
-    T_world_camera: Float64,
-    margin_m: float,
-    voxel_size_m: float,
+    depth_m: Float32, camera: Camera, T_world_camera: Float64, margin_m: float, voxel_size_m: float
 ) -> Int32:
     """Find the world-aligned blocks within `margin_m` of a frame's depth, along the viewing rays.
 

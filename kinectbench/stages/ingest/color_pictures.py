@@ -43,10 +43,6 @@ def is_in_color(head: bytes) -> bool:
 def as_png(data: bytes, name: str) -> bytes:
     """Return a BMP or PPM as a PNG of 8 bits per channel; any other data as they are.
 
-    Args:
-        data: bytes of a file.
-        name: source of the data, for messages.
-
     Raises:
         DamagedImageError: the BMP or PPM is damaged or too large.
     """

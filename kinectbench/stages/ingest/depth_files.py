@@ -289,11 +289,7 @@ def hdf5_arrays(
 ) -> dict[str, NDArray[np.generic]]:
     """Read the arrays under those `keys` that an HDF5 file has; return {key: array}.
 
-    Args:
-        data: bytes of the file.
-        name: source of the data, for messages.
-        keys: keys to read, from the file's root.
-        most_values: largest number of values in an array.
+    Keys are from the file's root; an array has at most `most_values`.
 
     Raises:
         DamagedImageError: the file is damaged, or an array is too large, not numeric, or stored in another

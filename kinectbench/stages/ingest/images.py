@@ -48,10 +48,6 @@ def advised(line: str, advice: str) -> str:
 def image_header(data: bytes, name: str) -> tuple[str, int, int]:
     """Read the type and size of a PNG or JPEG; check that it is complete and cheap to decode.
 
-    Args:
-        data: the encoded image.
-        name: source of the image, for messages.
-
     Returns:
         (".png" or ".jpg", width, height), sizes in pixels.
 

@@ -84,10 +84,7 @@ class Intrinsics:
     ) -> Camera:
         """Return the camera after checking that the values are complete and fit the images.
 
-        Args:
-            size_px: width and height of the depth images.
-            path: the recording, for messages.
-            beside: returns a hint, for messages, on files that may contain missing values.
+        `beside` returns a hint, for messages, on files that may contain missing values.
 
         Raises:
             RecordingError: a value is missing, a focal length is impossible, the principal point is outside
@@ -222,10 +219,6 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
 def intrinsics_of_keys(raw: Mapping[str, object], path: Path) -> Intrinsics:
     """Make intrinsics from the keys of a JSON object, as `read_intrinsics_json` does.
 
-    Args:
-        raw: the object.
-        path: its file, for messages.
-
     Raises:
         RecordingError: a value of the wrong type or out of range, no pinhole matrix, or values that
             contradict each other.
@@ -332,11 +325,6 @@ def of_four_numbers(numbers: Sequence[float], path: Path) -> Intrinsics:
 
 def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: Path) -> None:
     """Refuse an implausible field of view: wider than 136 or narrower than 6 degrees (our own bounds).
-
-    Args:
-        intrinsics: intrinsics from the file.
-        size_px: width and height of the depth images.
-        file: for the message.
 
     Raises:
         RecordingError: the field of view is too wide or too narrow.

@@ -27,10 +27,7 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_json,
     read_intrinsics_matrix,
 )
-from kinectbench.stages.ingest.intrinsics_words import (
-    intrinsics_in_words,
-    intrinsics_in_xml,
-)
+from kinectbench.stages.ingest.intrinsics_words import intrinsics_in_words, intrinsics_in_xml
 from kinectbench.stages.ingest.intrinsics_yaml import intrinsics_in_yaml
 from kinectbench.stages.ingest.json_values import read_json_object
 from kinectbench.stages.ingest.known_names import (
@@ -294,12 +291,8 @@ def _under_titles(file: Path) -> dict[str, object]:
 def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:
     """Return the end of an error message: names of files that `wanted` accepts; "" if there are none.
 
-    Args:
-        path: the recording's folder, which is searched with its direct subfolders; for a file, "" is
-            returned.
-        wanted: predicate on names.
-        how: words before the names.
-        by_folder: whether the predicate gets names with their subfolder, such as pose/000000.npy.
+    A folder is searched with its direct subfolders; for a file, "" is returned. `how` are words before the
+    names. With `by_folder`, the predicate gets names with their subfolder, such as pose/000000.npy.
     """
     names = list(map(str, _files_like(path, wanted, by_folder=by_folder))) if path.is_dir() else []
     return f"; {how} {printable(', '.join(names))}" if names else ""

@@ -39,10 +39,6 @@ def intrinsics_in_words(text: str, file: Path) -> Intrinsics | None:
 
     Comments, from # to the end of the line, are not read. A note tells of distortion.
 
-    Args:
-        text: the content of the file.
-        file: for messages.
-
     Raises:
         RecordingError: a name has two values, as of two cameras, or a size is not a number of pixels.
     """
@@ -79,10 +75,6 @@ def distortion_notes(file: Path, *, distorted: bool) -> tuple[str, ...]:
 
 def intrinsics_in_xml(text: str, file: Path) -> Intrinsics | None:
     """Read the first pinhole matrix from OpenCV's XML; None if there is none.
-
-    Args:
-        text: the content of the file.
-        file: for messages.
 
     Raises:
         RecordingError: the matrix is no pinhole matrix.

@@ -35,10 +35,6 @@ YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
 def intrinsics_in_yaml(text: str, file: Path) -> Intrinsics | None:
     """Read the pinhole camera from a YAML text of OpenCV, ROS or others; None if it has none.
 
-    Args:
-        text: the content of the file.
-        file: for messages.
-
     Raises:
         RecordingError: a key repeats with other numbers, or is of no pinhole matrix.
     """

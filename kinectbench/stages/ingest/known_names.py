@@ -68,11 +68,8 @@ def is_like_poses(name: str) -> bool:
 def visible(folder: Path, *patterns: str) -> list[Path]:
     """List files in a folder that match a pattern, in any case, without hidden files.
 
-    They are in the order of the patterns, and of each pattern those in its own case come last.
-
-    Args:
-        folder: a folder; of anything else the list is empty.
-        patterns: as `fnmatch` reads them.
+    They are in the order of the patterns, and of each pattern those in its own case come last. Patterns are
+    those of `fnmatch`; of anything but a folder the list is empty.
     """
 
     def matches(name: str) -> list[bool]:

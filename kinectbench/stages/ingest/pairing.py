@@ -59,13 +59,8 @@ def pair_images(
 
     They are paired by time if the names of both streams contain stamps. Otherwise they are paired by name if
     any names agree, else by the frame numbers in the names if any agree, else by order if both streams have
-    the same number of images.
-
-    Args:
-        depth: names of the depth images without suffix, in any order.
-        color: names of the colour images without suffix, in numeric order.
-        delay_s: delay of colour's stamps, from the settings, seconds; it is subtracted from them.
-        where: folder or file, for messages.
+    the same number of images. Names are without suffix: of depth in any order, of colour in numeric order.
+    The delay is subtracted from colour's stamps.
 
     Returns:
         The partners; and, if paired by time, the stamps in the names of colour, nanoseconds, else ().

@@ -31,12 +31,9 @@ SAMPLED_FRAMES, SAMPLED_EVERY_PX = 50, 4
 
 
 class FrameChecks:
-    """Checks each frame against the recording's camera, and gathers data for the checks at the end.
+    """Checks each frame against the camera of its recording, and gathers data for the checks at the end.
 
     Damaged frames are left out and counted.
-
-    Attributes:
-        recording: the recording that the frames are from.
     """
 
     def __init__(self, recording: Recording) -> None:

@@ -19,12 +19,7 @@ class ColorRegistration:
     """Maps images of a colour camera, of size `color_px`, to a depth camera's pixels, with a z-buffer."""
 
     def __init__(self, depth: Camera, calibration: ColorCalibration) -> None:
-        """Prepare for images of these two cameras.
-
-        Args:
-            depth: intrinsics of the depth images, pinhole.
-            calibration: calibration of the colour images.
-        """
+        """Prepare for images of a pinhole depth camera and a colour camera."""
         self._rays = depth.rays().astype(np.float32)
         self._color = calibration.camera
         self.color_px = (calibration.camera.width, calibration.camera.height)

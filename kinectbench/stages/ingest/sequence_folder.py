@@ -166,12 +166,7 @@ def read_sequence(folder: Path) -> Sequence:
 
 @dataclass(frozen=True)
 class FolderFrames:
-    """The frames in a sequence folder.
-
-    Attributes:
-        folder: the sequence folder.
-        rows: rows of frames.json.
-    """
+    """The frames in a sequence folder, by the rows of its frames.json."""
 
     folder: Path
     rows: tuple[FrameRow, ...]

@@ -203,10 +203,5 @@ def _write_packed(checked: _Checked, index: int, folder: Path) -> FrameRow:
             pixels = np.where(frame.mask, np.uint8(255), np.uint8(0))
             (folder / f"{mask}").write_bytes(encode_png(pixels))
     return FrameRow(
-        index=index,
-        recorded=checked.index,
-        stamp_ns=frame.stamp_ns,
-        depth=depth,
-        color=color,
-        mask=mask,
+        index=index, recorded=checked.index, stamp_ns=frame.stamp_ns, depth=depth, color=color, mask=mask
     )

@@ -20,11 +20,7 @@ QUOTED = 300
 
 
 def check_there(path: Path, missing: str = MISSING) -> None:
-    """Refuse a missing recording, or a missing file of a recording.
-
-    Args:
-        path: the file or folder.
-        missing: the message if it is missing.
+    """Refuse a missing recording, or a missing file of a recording, with the message `missing`.
 
     Raises:
         RecordingError: the path is missing or invalid.
@@ -116,11 +112,8 @@ def _entries(
 ) -> Iterator[tuple[Path, bool]]:
     """Yield (path, whether it is a plain file) for everything in a folder and below it, sorted.
 
-    Args:
-        folder: the folder to list.
-        above: the folders that contain it, by device and inode.
-        follow_links: whether to follow links.
-        links: yields one item for each link to a folder that may still be followed.
+    `above` are the folders that contain it, by device and inode; `links` yields one item for each link to a
+    folder that may still be followed.
     """
     status = folder.stat()
     identity = status.st_dev, status.st_ino

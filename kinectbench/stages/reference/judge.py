@@ -81,9 +81,7 @@ class RegisteredReference:
 def register_reference(model: ObjectModel, mesh: TriangleMesh) -> RegisteredReference:
     """Register a reference to a built object, and judge whether it is the mesh of this object.
 
-    Args:
-        model: the object.
-        mesh: the reference, in a frame of its own, metres; of one object alone, closed or open.
+    The mesh is in a frame of its own, metres, of one object alone, closed or open.
     """
     ours, theirs = sampled_object(model), sampled(mesh)
     if not ours.counted.any():

@@ -34,12 +34,7 @@ from kinectbench.stages.segment.find.pieces import fit_box
 from kinectbench.stages.segment.judge.quality import BOX_DECIMALS_M, BOX_DECIMALS_RAD, OF_REPORT
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.solid.evidence import SHELL_M
-from kinectbench.stages.segment.solid.grids import (
-    FLOOR_LAYERS,
-    REFERENCE_VOXEL_M,
-    object_grid,
-    surround_grid,
-)
+from kinectbench.stages.segment.solid.grids import FLOOR_LAYERS, REFERENCE_VOXEL_M, object_grid, surround_grid
 from kinectbench.stages.segment.solid.solid import SolidShape
 
 SUFFIXES = (".ply", ".obj", ".glb")
@@ -109,9 +104,7 @@ def read_reference(path: Path) -> Reference:
 def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
     """Return the object with a reference mesh in place of the fused shape.
 
-    Args:
-        model: the fused object, which the mesh is registered to.
-        path: of the mesh, in metres and any frame.
+    The mesh at `path`, in metres and any frame, is registered to the fused object.
 
     Raises:
         RecordingError: the mesh cannot be read.

@@ -61,15 +61,10 @@ class OrientedPoints:
 
 
 def oriented_points(depth_m: Float32, camera: Camera, stride_px: int) -> OrientedPoints:
-    """Compute points with normals from a depth image, in the camera frame.
+    """Compute points with normals from depth (height, width), metres, 0 = none, in the camera frame.
 
     A point's normal comes from the four pixels that are four rows or four columns away. Pixels beyond 3.5 m
     or at a depth edge are left out.
-
-    Args:
-        depth_m: (height, width) float32, metres, 0 = none.
-        camera: intrinsics.
-        stride_px: stride along rows and columns.
     """
     reach = NORMAL_REACH_PX
     points = camera.backproject(depth_m)
@@ -93,10 +88,7 @@ def oriented_points(depth_m: Float32, camera: Camera, stride_px: int) -> Oriente
 
 
 def normal_equations(
-    surface: OrientedPoints,
-    depth_m: Float32,
-    T_target_source: Float64,
-    camera: Camera,
+    surface: OrientedPoints, depth_m: Float32, T_target_source: Float64, camera: Camera
 ) -> tuple[Float64, Float64, Float64]:
     """Gauss-Newton normal equations of the residuals n . (q - T p), Huber-weighted, in units of sigma.
 
@@ -139,11 +131,7 @@ class ViewAlignment:
 
 
 def align_view(
-    depth_m: Float32,
-    camera: Camera,
-    T_world_camera: Float64,
-    rendered_m: Float32,
-    pose_sigma_m: float,
+    depth_m: Float32, camera: Camera, T_world_camera: Float64, rendered_m: Float32, pose_sigma_m: float
 ) -> ViewAlignment:
     """Correct a view's pose by ICP of its depth against the object.
 

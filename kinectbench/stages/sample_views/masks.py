@@ -208,12 +208,6 @@ def override_mask(mask: Bools, given: GivenMasks, view: str, frame: int) -> Bool
 
     `frame_<index>.png` replaces the mask; `.include.png` adds its pixels, `.exclude.png` removes them.
 
-    Args:
-        mask: (height, width), the automatic mask.
-        given: the user's masks.
-        view: name of the view.
-        frame: index of the view's frame in the sequence.
-
     Raises:
         SegmentationError: a mask is unreadable or has another size than depth, or there are two of one kind.
     """

@@ -91,11 +91,6 @@ def truncated_share(camera: Camera, T_world_camera: Float64, renderer: DepthRend
     The silhouette is sampled at every 8th pixel of an image three times as wide and high, centred on the
     camera's.
 
-    Args:
-        camera: intrinsics.
-        T_world_camera: (4, 4).
-        renderer: renderer of the object's mesh.
-
     Returns:
         In [0, 1]; 0 if no ray hits the object.
     """

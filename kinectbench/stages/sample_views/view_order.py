@@ -66,11 +66,7 @@ def direction(T_world_camera: Float64, model: ObjectModel) -> tuple[int, int]:
 
 
 def visible_share(
-    sequence: Sequence,
-    frame: int,
-    T_world_camera: Float64,
-    renderer: DepthRenderer,
-    segmentation: MaskCuts,
+    sequence: Sequence, frame: int, T_world_camera: Float64, renderer: DepthRenderer, segmentation: MaskCuts
 ) -> float:
     """Estimate the visible share of a view (`ViewFit`) at every 8th pixel, before the pose is corrected."""
     depth_m = sequence.depth_m(frame)[::STRIDE_PX, ::STRIDE_PX]

@@ -8,6 +8,7 @@ import numpy as np
 from kinectbench.core import TrackingError
 from kinectbench.core.artefacts.stored import known
 from kinectbench.core.artefacts.trajectory import GivenFigures
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import DepthCalibration
 from kinectbench.core.sequence import Sequence, counts_frames
 from kinectbench.core.trajectory.compare import compare_poses, has_pose
@@ -15,7 +16,7 @@ from kinectbench.core.types import Bools, Float64, Progress
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track.depth_calibration import calibrate_posed
 from kinectbench.stages.track.disagreement import distant_constraints, distant_residual_m
-from kinectbench.stages.track.frame_check import FrameCheck, check_frames, evenly_spread
+from kinectbench.stages.track.frame_check import COMPARED_FRAMES, FrameCheck, check_frames
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.health_figures import median
 from kinectbench.stages.track.map_kernels import MAX_DEPTH_M, MIN_DEPTH_M
@@ -73,7 +74,7 @@ def check_given(
     """
     maps, every = MapCache(sequence), settings.check_stride_px
     posed = np.flatnonzero(has_pose(T_given))
-    calibration = calibrate_posed(maps, T_given, evenly_spread(posed))
+    calibration = calibrate_posed(maps, T_given, posed[evenly(len(posed), COMPARED_FRAMES)])
     maps.calibrate(calibration)
     frames = check_frames(maps, T_given, settings, progress)
     sound = frames.compared[~(frames.disagrees | frames.outlier)[frames.compared]]

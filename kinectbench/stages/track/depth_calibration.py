@@ -66,10 +66,8 @@ def calibrate(views: Iterable[CalibrationView]) -> DepthCalibration:
     """Estimate the correction under which pairs of frames agree best; each pair's relative pose is free.
 
     The result is `NO_CALIBRATION` for fewer than six pairs, or if the correction estimated from one half of
-    the pairs does not lower the residuals of the other half.
-
-    Args:
-        views: pairs in the order of time, with depth as recorded, not yet corrected.
+    the pairs does not lower the residuals of the other half. The pairs are in the order of time, with depth
+    as recorded, not yet corrected.
     """
     return _accepted([unexplained for _, unexplained in _all_sums(views)])
 

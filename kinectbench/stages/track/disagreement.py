@@ -100,10 +100,6 @@ def agrees_as_well(as_given: Registration, registration: Registration) -> bool:
 
     The overlaps are not compared: frames from two sides of an object overlap little and still fit. At the
     given pose the overlap must be at least 5 %, and the inlier ratio 90 %.
-
-    Args:
-        as_given: the quality measured at the given pose.
-        registration: the quality at the registered pose.
     """
     close_m = max(AS_CLOSE * registration.residual_m, WELL_BELOW_NOISE * as_given.noise_m)
     return (
@@ -140,13 +136,7 @@ def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, ever
 
     A point counts if, at its pixel, the target's depth is within 0.1 m of the point's depth, and its normal
     within 60 degrees. These distances measure a pose error, because they are not truncated at the noise level
-    as a registration's residuals are.
-
-    Args:
-        source: the frame.
-        target: the finest level of the other frame.
-        T_target_source: (4, 4).
-        every: stride of the points used.
+    as a registration's residuals are. `target` is the finest level of the other frame.
     """
     points, T = source[0].points[::every], np.ascontiguousarray(T_target_source)
     residuals: Float64 = projective_residuals(
@@ -208,13 +198,8 @@ def distant_residual_m(
 ) -> float:
     """Return the median, over the constraints, of the median absolute residual of b's points in a, metres.
 
-    Constraints with fewer than 100 residuals, or without poses, are left out; NaN if none is left.
-
-    Args:
-        maps: maps of the recording, n frames.
-        constraints: constraints between distant frames.
-        every: stride of the points used.
-        T_world_camera: (n, 4, 4), NaN where a frame has no pose; None: use the constraints' own poses.
+    Constraints with fewer than 100 residuals, or without poses, are left out; NaN if none is left. Poses are
+    (n, 4, 4), NaN where a frame has none; None: the constraints' own are used.
     """
     medians = []
     for each in constraints:

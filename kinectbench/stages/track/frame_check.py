@@ -90,7 +90,7 @@ def check_frames(
         progress: called with (frames compared, frames with a pose).
     """
     posed = np.flatnonzero(has_pose(T_given))
-    compared = evenly_spread(posed)
+    compared = posed[evenly(len(posed), COMPARED_FRAMES)]
     checker = _Checker(maps, T_given, settings, compared)
     for done, frame in enumerate(posed.tolist(), start=1):
         checker.compare(frame)
@@ -100,11 +100,6 @@ def check_frames(
             progress(done, len(posed))
     checker.recheck(posed)
     return checker.result(posed)
-
-
-def evenly_spread(frames: Int64) -> Int64:
-    """Choose at most 60 of the frames (k,), evenly spread, as reference frames to compare all frames with."""
-    return frames[evenly(len(frames), COMPARED_FRAMES)]
 
 
 class _Checker:

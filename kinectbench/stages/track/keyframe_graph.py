@@ -68,13 +68,8 @@ def build_graph(
 ) -> KeyframeGraph:
     """Find constraints between keyframes, join trajectory segments, and optimise the poses, in rounds.
 
-    A segment is a stretch of frames tracked in a world of its own.
-
-    Args:
-        maps: maps of the frames. This function estimates a depth calibration and sets it in `maps`.
-        features: features of the frames.
-        odometry: keyframes, and constraints between consecutive keyframes.
-        T_given: (n, 4, 4) given poses of all frames, used as a weak prior; or None.
+    A segment is a stretch of frames tracked in a world of its own. The function estimates a depth calibration
+    and sets it in `maps`. `T_given` (n, 4, 4) are given poses of all frames, a weak prior; or None.
     """
     builder = _Builder(maps, features, odometry, T_given)
     builder.add_loop_candidates()

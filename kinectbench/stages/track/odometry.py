@@ -140,10 +140,7 @@ def median_quality(registrations: Sequence[Registration]) -> ReferenceQuality:
 def follow(maps: MapCache, features: FeatureCache, T_given: Float64 | None = None) -> Odometry:
     """Register every frame of a sequence to the previous keyframe, else to other recent frames.
 
-    Args:
-        maps: maps of the frames.
-        features: features of the frames.
-        T_given: (n, 4, 4) initial poses for the registrations, NaN where unknown; or None.
+    `T_given` (n, 4, 4) are initial poses for the registrations, NaN where unknown; or None.
     """
     return Follower(maps, features, T_given).to_the_end()
 
@@ -151,10 +148,7 @@ def follow(maps: MapCache, features: FeatureCache, T_given: Float64 | None = Non
 class Follower:
     """Builds the odometry frame by frame; a pickled copy continues elsewhere with the same result.
 
-    Attributes:
-        maps: maps of the frames.
-        features: features of the frames.
-        frames: odometry of the frames taken so far.
+    `frames` is the odometry of the frames taken so far.
     """
 
     def __init__(self, maps: MapCache, features: FeatureCache, T_given: Float64 | None = None) -> None:

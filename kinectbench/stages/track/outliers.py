@@ -45,12 +45,7 @@ def find_outliers(residual: Float64, judged: Bools) -> Bools:
 
 
 def outlier_warnings(reasons: Mapping[int, str], source: Source) -> list[str]:
-    """Return a warning about frames left out as outliers; [] if there are none.
-
-    Args:
-        reasons: why a frame has no pose, by frame.
-        source: the source of the poses.
-    """
+    """Return a warning about frames left out as outliers, by the reasons of frames; [] if there are none."""
     frames = sorted(frame for frame, reason in reasons.items() if reason == OUTLIER_REASON)
     if not frames:
         return []
@@ -60,10 +55,8 @@ def outlier_warnings(reasons: Mapping[int, str], source: Source) -> list[str]:
 def far_warnings(T_world_camera: Float64) -> list[str]:
     """Return a warning about cameras too far from most others to see the same scene; [] if there are none.
 
-    Their poses cannot be checked, because no other frame sees the same place.
-
-    Args:
-        T_world_camera: (n, 4, 4), NaN where a frame has no pose.
+    Their poses cannot be checked, because no other frame sees the same place. Poses are (n, 4, 4), NaN where
+    a frame has none.
     """
     posed = np.flatnonzero(has_pose(T_world_camera))
     positions = T_world_camera[posed, :3, 3]

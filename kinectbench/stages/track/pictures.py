@@ -30,12 +30,7 @@ TIME, FRAME = "time, s", "frame"
 
 
 def write_pictures(folder: Path, trajectory: Trajectory) -> None:
-    """Write trajectory.png and, if the trajectory has its health, health.png and covisibility.png.
-
-    Args:
-        folder: an existing folder.
-        trajectory: the result of `track`.
-    """
+    """Write trajectory.png and, if the trajectory has its health, health.png and covisibility.png."""
     (folder / "trajectory.png").write_bytes(path_picture(trajectory))
     if trajectory.health is not None:
         (folder / "health.png").write_bytes(health_picture(trajectory.health, trajectory.stamps_ns))
@@ -106,11 +101,7 @@ def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> by
     """Plot residual, inlier ratio, speed, turn rate and blur of each frame over time; return a PNG file.
 
     Without stamps the horizontal axis is the frame index. Frames without a pose are shaded; a line marks
-    where the camera was found again.
-
-    Args:
-        health: health with a row for each frame.
-        stamps_ns: (n,) stamps of the frames.
+    where the camera was found again. The health has a row for each frame.
     """
     rows = health.per_frame
     moments, when = timeline(stamps_ns)

@@ -161,11 +161,7 @@ def measure(
 ) -> Registration:
     """Measure the quality of a registration at given poses, without moving the frame.
 
-    Args:
-        source: the frame.
-        targets: one or more other frames.
-        T_targets_source: (4, 4) for each target.
-        every: stride of the points used.
+    There is a transform (4, 4) for each target.
     """
     exposures = [NO_EXPOSURE_CHANGE] * len(targets)
     terms = _linearised(source, targets, T_targets_source, exposures, 0, every)
@@ -265,12 +261,8 @@ def observability(parts: Sequence[LinearTerms], source: Level, targets: Sequence
 
     Noise of unit variance along each axis e of a normal adds J J^T to the information, where J = ([p]x e, e).
     The sum over the axes is [[p]x; 1] [[p]x; 1]^T. Its mean over the points is the metric: the length of a
-    twist in this metric is the root-mean-square motion of the points.
-
-    Args:
-        parts: terms for each target, linearised `with_observability`.
-        source: the level that was linearised.
-        targets: the levels it was linearised against.
+    twist in this metric is the root-mean-square motion of the points. `parts` are the terms for each target,
+    linearised `with_observability`.
     """
     moments = np.sum([terms.moments for terms in parts], axis=0)
     x, y, z, n = moments[3] / max(moments[3, 3], 1)

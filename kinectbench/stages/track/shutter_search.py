@@ -53,10 +53,7 @@ def find_shutter(maps: MapCache, odometry: Odometry) -> RollingShutter | None:
     """Estimate the readout time of the rolling shutter and the delay of colour.
 
     The result is None if too few frames differ enough in motion from their keyframe, or if both times are 0.
-
-    Args:
-        maps: maps of the frames, without a shutter undone.
-        odometry: odometry of all frames.
+    No shutter is undone in the maps.
     """
     motion = motions_of(odometry.frames, maps.sequence.stamps_ns / 1e9)
     pairs = _informative_pairs(maps, odometry, motion)

@@ -9,9 +9,9 @@ from raising import raises
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.lab.simulate.presets import preset_spec
+from kinectbench.lab.simulate.render import StillRenderer
 from kinectbench.lab.simulate.simulate import prepare, record_frame
 from kinectbench.lab.simulate.spec import SimulationSpec
-from kinectbench.lab.simulate.still_camera import StillRenderer
 
 
 def spec_of(moves: str, **sensor: Any) -> SimulationSpec:

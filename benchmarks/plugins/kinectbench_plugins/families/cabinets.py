@@ -10,6 +10,7 @@ from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import box, cushion, leg, rod, rounded_path, tube
+from kinectbench_plugins import palettes
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -210,7 +211,7 @@ def _doors(draw: Draw, case: _Case, angles_deg: list[float], look: Look) -> Part
 
 def fridge(draw: Draw) -> Parts:
     """Draw a refrigerator whose door stands open; its walls are 40 to 60 mm thick, nothing is below 15 mm."""
-    look, lining = draw.pick(looks.ENAMELS), draw.pick(looks.ENAMELS[:2])
+    look, lining = draw.pick(palettes.ENAMELS), draw.pick(palettes.ENAMELS[:2])
     low, wall = draw.between(0.02, 0.06), draw.between(0.04, 0.06)
     case = _Case(
         x=draw.between(0.27, 0.36),

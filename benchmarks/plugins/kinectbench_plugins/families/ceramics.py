@@ -9,6 +9,7 @@ from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import Points, Vector2, Vector3, bent, rounded_path, tube, turned
+from kinectbench_plugins import palettes
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection, Manifold
@@ -75,7 +76,7 @@ def band(profile_rz_m: Points, low_m: float, high_m: float, out_m: float, deep_m
 
 def mug(draw: Draw) -> Parts:
     """Draw a big mug or a stein; its wall is 8 mm thick or more, its handle 12 mm."""
-    look, wall = draw.pick(looks.GLAZES), draw.between(0.008, 0.014)
+    look, wall = draw.pick(palettes.GLAZES), draw.between(0.008, 0.014)
     high, kind = draw.between(0.10, 0.16), draw.choose(["straight", "tapered", "barrel", "waisted", "stein"])
     radius = high * draw.between(0.36, 0.5) if high < 0.13 else high * draw.between(0.32, 0.4)
     foot, middle, rim = {
@@ -92,11 +93,11 @@ def mug(draw: Draw) -> Parts:
     for low in {"stein": (0.05, 0.82)}.get(kind, (draw.between(0.1, 0.7),) if draw.chance(0.4) else ()):
         thick = draw.between(0.08, 0.2) * high
         ring = band(profile, low * high, low * high + thick, 0.002, wall / 2)
-        yield Part("band", ring, look if kind == "stein" else draw.pick(looks.GLAZES))
+        yield Part("band", ring, look if kind == "stein" else draw.pick(palettes.GLAZES))
     gap, thick = draw.between(0.028, 0.04), draw.between(0.0066, 0.009)
     low, top = draw.between(0.16, 0.28) * high, draw.between(0.74, 0.88) * high
     handle = _ear(draw, profile, (low, top), gap + thick, thick).scale((1.0, draw.between(1.0, 1.7), 1.0))
-    yield Part("handle", handle - room, look if draw.chance(0.75) else draw.pick(looks.GLAZES))
+    yield Part("handle", handle - room, look if draw.chance(0.75) else draw.pick(palettes.GLAZES))
 
 
 def _ear(draw: Draw, profile: Points, ends: Vector2, reach: float, radius: float) -> "Manifold":
@@ -156,7 +157,7 @@ def kettle(draw: Draw) -> Parts:
     """Draw a kettle or a teapot, closed, with a spout; nothing is thinner than 12 mm."""
     kind = draw.choose(["dome", "cone", "round", "drum"])
     high, radius = draw.between(0.12, 0.18), draw.between(0.085, 0.12)
-    look = draw.pick(looks.GLAZES if kind == "round" else looks.ENAMELS)
+    look = draw.pick(palettes.GLAZES if kind == "round" else palettes.ENAMELS)
     share = {
         "dome": [(0.92, 0.0), (1.0, 0.12), (0.96, 0.5), (0.7, 0.85), (0.42, 1.0)],
         "cone": [(1.0, 0.0), (1.02, 0.06), (0.86, 0.45), (0.62, 0.9), (0.5, 1.0)],
@@ -209,7 +210,7 @@ def _lid(draw: Draw, radius: float, high: float, look: Look) -> Parts:
 
 def vase(draw: Draw) -> Parts:
     """Draw a vase, open at its top; its wall is 8 mm thick or more."""
-    look, wall, high = draw.pick(looks.GLAZES), draw.between(0.009, 0.014), draw.between(0.20, 0.44)
+    look, wall, high = draw.pick(palettes.GLAZES), draw.between(0.009, 0.014), draw.between(0.20, 0.44)
     wide = max(0.06, high * draw.between(0.2, 0.3))
     neck, lip = draw.between(0.4, 0.65), draw.between(0.55, 0.9)
     share = {
@@ -246,7 +247,9 @@ def vase(draw: Draw) -> Parts:
     yield Part("body", fluted(body), look)
     if draw.chance(0.5):
         low, thick = draw.between(0.1, 0.6) * high, draw.between(0.05, 0.2) * high
-        yield Part("band", fluted(band(profile, low, low + thick, 0.002, wall / 2)), draw.pick(looks.GLAZES))
+        yield Part(
+            "band", fluted(band(profile, low, low + thick, 0.002, wall / 2)), draw.pick(palettes.GLAZES)
+        )
     if handled:
         ends = (draw.between(0.5, 0.6) * high, draw.between(0.84, 0.9) * high)
         ear = _ear(draw, profile, ends, draw.between(0.035, 0.05), draw.between(0.0066, 0.009))
@@ -257,7 +260,7 @@ def vase(draw: Draw) -> Parts:
 
 def bottle(draw: Draw) -> Parts:
     """Draw a bottle with its cap on: closed, 60 to 80 mm wide."""
-    look = draw.pick(looks.GLAZES)
+    look = draw.pick(palettes.GLAZES)
     radius, high = draw.between(0.03, 0.04), draw.between(0.16, 0.28)
     neck = draw.between(0.012, 0.016)
     share = {

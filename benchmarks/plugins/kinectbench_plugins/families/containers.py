@@ -8,6 +8,7 @@ from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import box, plate, rod, rounded_path, tube, turned, union
+from kinectbench_plugins import palettes
 from kinectbench_plugins.families import vessels
 from kinectbench_plugins.families.vessels import THIN_M, Footprint, Rim, Vessel, both_sides, footprint
 
@@ -268,7 +269,7 @@ def _planter(draw: Draw) -> Parts:
     wide = draw.between(0.26, 0.42)
     deep = wide if kind == "round" or draw.chance(0.6) else wide * draw.between(0.6, 0.9)
     high = wide * draw.between(0.7, 1.2)
-    look = draw.pick(looks.STONES + looks.CLAYS + looks.WOODS[:4])
+    look = draw.pick(looks.STONES + palettes.CLAYS + looks.WOODS[:4])
     foot = draw.choose(["none", "saucer", "feet", "ring"])
     base = {"none": 0.0, "saucer": 0.013, "feet": draw.between(0.02, 0.04), "ring": 0.02}[foot]
     tub = _vessel(draw, kind, (wide, deep, high), draw.between(0.62, 0.95), base_m=base)
@@ -279,7 +280,7 @@ def _planter(draw: Draw) -> Parts:
         inside = tub.outer(base, draw.between(0.018, 0.03))
         outside = vessels.grown(inside, 0.014)
         saucer = vessels.tub(outside, outside, 0.0, 0.04) - vessels.tub(inside, inside, 0.0135, 0.1)
-        yield Part("saucer", saucer, look if draw.chance(0.5) else draw.pick(looks.STONES + looks.CLAYS))
+        yield Part("saucer", saucer, look if draw.chance(0.5) else draw.pick(looks.STONES + palettes.CLAYS))
     elif foot == "feet":
         yield from vessels.knob_feet(tub, draw.integer(3, 5), draw.between(0.035, 0.05), look)
     elif foot == "ring":
@@ -294,7 +295,7 @@ def _belly(draw: Draw) -> Parts:
     from scipy.interpolate import PchipInterpolator
 
     wide, wall = draw.between(0.27, 0.42), draw.between(0.014, 0.019)
-    high, look = wide * draw.between(0.75, 1.15), draw.pick(looks.CLAYS + looks.STONES + looks.METALS[1:2])
+    high, look = wide * draw.between(0.75, 1.15), draw.pick(palettes.CLAYS + looks.STONES + looks.METALS[1:2])
     foot, neck, lip = draw.between(0.5, 0.65), draw.between(0.66, 0.82), draw.between(0.72, 0.92)
     belly = draw.between(0.4, 0.6)
     # Radius over height, as shares, by a smooth curve through foot, belly, neck and lip.

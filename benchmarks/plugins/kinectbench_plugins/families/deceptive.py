@@ -8,6 +8,7 @@ from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import box, plate, rectangle, rod, turned
+from kinectbench_plugins import palettes
 from kinectbench_plugins.families import vessels
 from kinectbench_plugins.families.vessels import Vessel
 
@@ -21,7 +22,7 @@ def shell(draw: Draw) -> Parts:
     Walls of 12 to 16 mm, 0.4 to 0.6 m wide, over a gap of 15 to 22 mm.
     """
     wall, gap = draw.between(0.012, 0.016), draw.between(0.015, 0.022)
-    look = draw.pick(looks.CERAMICS + looks.PLASTICS + looks.CLAYS)
+    look = draw.pick(palettes.CERAMICS + looks.PLASTICS + palettes.CLAYS)
     half, high = draw.between(0.2, 0.3), draw.between(0.16, 0.32)
     count, round_one, deep = draw.integer(3, 5), draw.chance(0.5), draw.between(0.65, 1.0) * half
     if round_one:
@@ -66,7 +67,7 @@ def flap_box(draw: Draw) -> Parts:
     """Draw a card box that stands open, with flaps that hang beside its walls: narrow wedges under them."""
     wide = draw.between(0.3, 0.5)
     size = wide, wide * draw.between(0.6, 0.95), draw.between(0.25, 0.45)
-    wall, look = draw.between(0.012, 0.016), draw.pick(looks.CARDS)
+    wall, look = draw.between(0.012, 0.016), draw.pick(palettes.CARDS)
     inside = rectangle((size[0] - 2 * wall, size[1] - 2 * wall))
     card = Vessel(inside, inside, 0.0, wall, size[2], wall)
     yield Part("body", card.body(), look)

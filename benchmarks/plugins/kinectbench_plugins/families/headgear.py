@@ -9,6 +9,7 @@ from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import Points, Vector3, bent, box, cushion
+from kinectbench_plugins import palettes
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -55,7 +56,7 @@ def helmet(draw: Draw) -> Parts:
         low=draw.between(0.02, 0.05),
     )
     kind = draw.choose([_cycling, _cycling, _full_face, _full_face, _building, _riding])
-    look = draw.pick(looks.PLASTICS[:5] + looks.GLAZES[1:8])
+    look = draw.pick(looks.PLASTICS[:5] + palettes.GLAZES[1:8])
     yield from kind(draw, dome, look)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.shapes import box, cushion, plate, rectangle, rod, turned
+from kinectbench_plugins import palettes
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -99,7 +100,7 @@ def _domed(draw: Draw) -> Parts:
 
     radius, rise = draw.between(0.27, 0.38), draw.between(0.26, 0.36)
     wall, base = draw.between(0.035, 0.06), draw.between(0.03, 0.08)
-    look = draw.pick(looks.CLAYS + looks.STONES)
+    look = draw.pick(palettes.CLAYS + looks.STONES)
     ball = Manifold.sphere(1.0, SEGMENTS)
     dome = (
         ball.scale((radius, radius, rise)).translate((0.0, 0.0, base)).trim_by_plane((0, 0, 1), base - 0.004)

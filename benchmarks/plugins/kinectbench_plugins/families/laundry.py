@@ -9,6 +9,7 @@ from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import box, cushion, rod, turned
+from kinectbench_plugins import palettes
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -48,7 +49,7 @@ def washing_machine(draw: Draw) -> Parts:
         low=draw.between(0.02, 0.05),
         top=draw.between(0.78, 0.92),
     )
-    look, soft = draw.pick(looks.ENAMELS), draw.choose([0.0, draw.between(0.008, 0.025)])
+    look, soft = draw.pick(palettes.ENAMELS), draw.choose([0.0, draw.between(0.008, 0.025)])
     dark = draw.pick((looks.METALS[3], looks.METALS[0], looks.PLASTICS[5]))
     yield from _feet(housing, looks.METALS[3])
     if draw.chance(0.5) and front:
@@ -56,7 +57,7 @@ def washing_machine(draw: Draw) -> Parts:
             (-housing.x - 0.006, -housing.y, housing.top - soft - LAP_M),
             (housing.x + 0.006, housing.y + 0.012, housing.top + 0.018),
         )
-        yield Part("top", over, draw.pick(looks.WOODS + looks.ENAMELS[:2] + looks.STONES))
+        yield Part("top", over, draw.pick(looks.WOODS + palettes.ENAMELS[:2] + looks.STONES))
     yield from (_front_loader if front else _top_loader)(draw, housing, soft, look, dark)
 
 

@@ -9,6 +9,7 @@ from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import Vector3, box, rectangle, rod, rounded_path, tube
+from kinectbench_plugins import palettes
 from kinectbench_plugins.families import vessels
 from kinectbench_plugins.families.vessels import THIN_M, Rim, Vessel, both_sides
 
@@ -49,7 +50,7 @@ def _card(draw: Draw) -> Parts:
     """A card box; each of its flaps stands up, sticks out, or hangs, or is cut off."""
     wide = draw.between(0.26, 0.52)
     size = (wide, wide * draw.between(0.6, 0.95), draw.between(0.16, 0.42))
-    look = draw.pick(looks.CARDS + looks.CARDS[:2])
+    look = draw.pick(palettes.CARDS + palettes.CARDS[:2])
     card = _straight(draw, size)
     yield Part("body", card.body(), look)
     long = min(0.22, draw.between(0.4, 0.5) * size[1])
@@ -63,7 +64,9 @@ def _card(draw: Draw) -> Parts:
     if draw.chance(0.3):
         hole = vessels.slot(card, (0.0, 0.72 * size[2]), 0.09, 0.028)
         patch = vessels.block_handle(card, 0.35 * size[2], 0.1, 0.004, 0.07)
-        yield from both_sides("label", patch - hole, draw.pick(looks.CARDS[2:] + looks.PLASTICS[:5]), (0.0,))
+        yield from both_sides(
+            "label", patch - hole, draw.pick(palettes.CARDS[2:] + looks.PLASTICS[:5]), (0.0,)
+        )
 
 
 def _flap(card: Vessel, hinge_m: float, width_m: float, long_m: float, angle_rad: float) -> "Manifold":

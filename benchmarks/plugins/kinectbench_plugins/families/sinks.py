@@ -17,6 +17,7 @@ from kinectbench.lab.simulate.objects.shapes import (
     tube,
     turned,
 )
+from kinectbench_plugins import palettes
 from kinectbench_plugins.families import vessels
 from kinectbench_plugins.families.vessels import Footprint, Vessel, footprint
 
@@ -82,7 +83,7 @@ def _tap(draw: Draw, back_m: float, top_m: float, reach_m: float) -> Parts:
 
 def _pedestal(draw: Draw) -> Parts:
     """A basin with a deck on a turned, round or square pedestal."""
-    top, look = draw.between(0.78, 0.9), draw.pick(looks.CERAMICS)
+    top, look = draw.between(0.78, 0.9), draw.pick(palettes.CERAMICS)
     basin = _basin(draw, top, deep_m=draw.between(0.16, 0.22))
     yield Part("body", basin.body(), look)
     deck, at = _deck(draw, basin, look)
@@ -110,7 +111,7 @@ def _cabinet(draw: Draw) -> Parts:
     """A basin sunk into a cabinet with doors or drawers, on a plinth or feet."""
     top, wood = draw.between(0.76, 0.88), draw.pick(looks.WOODS[:7])
     basin = _basin(draw, top, deep_m=draw.between(0.12, 0.2))
-    look = draw.pick(looks.CERAMICS)
+    look = draw.pick(palettes.CERAMICS)
     half = basin.outer(top).max(axis=0) + draw.between(0.012, 0.05)
     x, front, back = float(half[0]), float(half[1]), -float(half[1]) - draw.between(0.06, 0.1)
     slab = draw.between(0.02, 0.04)
@@ -154,7 +155,7 @@ def _doors(draw: Draw, low: Vector3, high: Vector3, look: Look) -> Parts:
 def _trough(draw: Draw) -> Parts:
     """A long rectangular sink with one or two bowls and perhaps a board behind it, on legs or blocks."""
     x, y, top = draw.between(0.28, 0.52), draw.between(0.2, 0.27), draw.between(0.74, 0.9)
-    look, wall = draw.pick(looks.CERAMICS + looks.STONES + looks.METALS[:1]), draw.between(0.014, 0.02)
+    look, wall = draw.pick(palettes.CERAMICS + looks.STONES + looks.METALS[:1]), draw.between(0.014, 0.02)
     base, share = top - draw.between(0.2, 0.32), draw.between(0.9, 1.0)
     radius = draw.between(0.02, 0.05)
     inside = np.array([2 * (x - wall), 2 * (y - wall)])
@@ -204,7 +205,7 @@ def _stand(draw: Draw, tub: Vessel, look: Look) -> Parts:
             shelf = box((-at[0], -at[1], z), (at[0], at[1], z + draw.between(0.016, 0.025)))
             yield Part("shelf", shelf, metal)
     elif kind == "blocks":
-        wide, stone = draw.between(0.06, 0.12), draw.pick(looks.STONES + looks.CERAMICS)
+        wide, stone = draw.between(0.06, 0.12), draw.pick(looks.STONES + palettes.CERAMICS)
         for s in SIDES:
             at_x = s * (x - wide / 2 - 0.03)
             block = box((at_x - wide / 2, -y + 0.02, 0.0), (at_x + wide / 2, y - 0.02, head))

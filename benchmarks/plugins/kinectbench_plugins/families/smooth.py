@@ -15,6 +15,7 @@ from kinectbench.core.types import Float64
 from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import Draw, Part, Parts
 from kinectbench.lab.simulate.objects.shapes import Points, Vector3, box, solid, surface
+from kinectbench_plugins import palettes
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -165,7 +166,7 @@ def blob(draw: Draw) -> Parts:
     x0, y0, z0, x1, y1, z1 = shape.bounding_box()
     size = draw.between(0.34, 0.69) / max(x1 - x0, y1 - y0, z1 - z0)
     yield Part(
-        "body", shape.scale((size, size, size)), draw.pick(looks.CLOTHS + looks.GLAZES[:8] + looks.STONES)
+        "body", shape.scale((size, size, size)), draw.pick(looks.CLOTHS + palettes.GLAZES[:8] + looks.STONES)
     )
 
 
@@ -180,7 +181,7 @@ def sculpture(draw: Draw) -> Parts:
     shape = flattened(shape, draw.between(0.03, 0.07))
     x0, y0, z0, x1, y1, z1 = shape.bounding_box()
     scale = size / max(x1 - x0, y1 - y0, z1 - z0)
-    look = draw.pick(looks.STONES + looks.GLAZES[:8] + looks.METALS[:1] + looks.WOODS[:3])
+    look = draw.pick(looks.STONES + palettes.GLAZES[:8] + looks.METALS[:1] + looks.WOODS[:3])
     shape = shape.translate((0.0, 0.0, -z0)).scale((scale, scale, scale))
     yield Part("body", shape, look)
     if on_plinth:

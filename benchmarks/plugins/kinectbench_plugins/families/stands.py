@@ -23,6 +23,7 @@ from kinectbench.lab.simulate.objects.shapes import (
     rounded_path,
     tube,
 )
+from kinectbench_plugins import palettes
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -253,7 +254,7 @@ def _whiteboard(draw: Draw) -> Parts:
     yield Part("cross bar", rod((-x, 0.0, z), (x, 0.0, z), radius - 0.002), metal)
     tilt = draw.choose([0.0, draw.between(-20, 20)])
     parts = [
-        Part("board", _board(half, thick), draw.choose([looks.PLASTICS[0], draw.pick(looks.ENAMELS[:3])]))
+        Part("board", _board(half, thick), draw.choose([looks.PLASTICS[0], draw.pick(palettes.ENAMELS[:3])]))
     ]
     outer = _board((half[0] + 0.003, half[1] + 0.003), thick + 0.012)
     inner = _board((half[0] - 0.022, half[1] - 0.022), 1.0)
@@ -264,7 +265,7 @@ def _whiteboard(draw: Draw) -> Parts:
         parts.append(Part("tray", tray, metal))
     if draw.chance(0.4):
         paper = _board((0.62 * half[0], 0.9 * half[1]), 0.016).translate((0.0, thick / 2 + 0.004, 0.01))
-        parts.append(Part("paper", paper, draw.pick(looks.CARDS)))
+        parts.append(Part("paper", paper, draw.pick(palettes.CARDS)))
     for part in parts:
         shape = part.shape.rotate((tilt, 0.0, 0.0)).translate((0.0, 0.0, middle))
         yield Part(part.name, shape, part.look)

@@ -9,6 +9,7 @@ from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import Vector2, box, cushion, rod
+from kinectbench_plugins import palettes
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -143,7 +144,7 @@ def _saloon(draw: Draw, car: _Car, look: Look) -> Parts:
         load = box(
             (-0.6 * narrow, bars[0], rack - 0.006), (0.6 * narrow, bars[-1], rack + draw.between(0.02, 0.05))
         )
-        yield Part("luggage", load, draw.pick(looks.LEATHERS[:2] + looks.CARDS))
+        yield Part("luggage", load, draw.pick(looks.LEATHERS[:2] + palettes.CARDS))
 
 
 def _van(draw: Draw, car: _Car, look: Look) -> Parts:

@@ -19,6 +19,7 @@ from kinectbench.lab.simulate.objects.shapes import (
     tube,
     turned,
 )
+from kinectbench_plugins import palettes
 from kinectbench_plugins.families.ceramics import horn, smooth_profile, vessel
 from kinectbench_plugins.families.vessels import THIN_M, Vessel, rim
 
@@ -149,7 +150,7 @@ def trough(draw: Draw) -> Parts:
     if draw.chance(0.4):
         level = low + draw.between(0.25, 0.7) * high
         feed = within ^ box((-2.0, -2.0, 0.0), (2.0, 2.0, level))
-        yield Part("feed", feed, draw.choose([SOIL, draw.pick(looks.CARDS)]))
+        yield Part("feed", feed, draw.choose([SOIL, draw.pick(palettes.CARDS)]))
     bars, end = draw.pick(looks.METALS + looks.WOODS[:3]), y - 0.6 * wall
     for at in np.linspace(-x, x, draw.integer(2, 5))[1:-1].tolist():
         yield Part("bar", rod((at, -end, top - 0.01), (at, end, top - 0.01), 0.009), bars)
@@ -229,7 +230,10 @@ def _trough_stand(draw: Draw, half_m: Vector2, z_m: Vector2, kind: str) -> Parts
 
 def watering_can(draw: Draw) -> Parts:
     """Draw a watering can, open at its top, its spout at +x; its walls are 8 mm thick or more."""
-    look, wall = draw.pick(looks.METALS[:2] + looks.ENAMELS + looks.PLASTICS[:5]), draw.between(0.009, 0.013)
+    look, wall = (
+        draw.pick(looks.METALS[:2] + palettes.ENAMELS + looks.PLASTICS[:5]),
+        draw.between(0.009, 0.013),
+    )
     high, radius = draw.between(0.16, 0.28), draw.between(0.075, 0.12)
     kind = draw.choose(["straight", "cone", "belly"])
     share = {

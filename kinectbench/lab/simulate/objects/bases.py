@@ -97,12 +97,8 @@ def turned_leg(at_m: Vector2, head_m: float, thick_m: float) -> Manifold:
 def stretchers(draw: Draw, half_m: Vector2, height_m: float, look: Look, rake_m: float = 0.0) -> Parts:
     """Make horizontal bars between four legs, in the shape of an H or of a closed rectangle.
 
-    Args:
-        draw: draws the shape and the bars' thickness.
-        half_m: x and y of a front leg's axis; the other legs mirror it.
-        height_m: height of the bars' axes above the floor.
-        look: material of the bars.
-        rake_m: how much farther back the rear legs stand.
+    `half_m` are x and y of a front leg's axis, which the others mirror; rear legs stand `rake_m` farther
+    back.
     """
     x, y = half_m
     rear = -y - rake_m
@@ -204,15 +200,7 @@ def hairpins(half_m: Vector2, head_m: float, look: Look) -> Parts:
 
 
 def column(draw: Draw, reach_m: float, head_m: float, thick_m: float, look: Look) -> Parts:
-    """Make a column on a round plate or a trumpet-shaped foot, or a drum.
-
-    Args:
-        draw: chooses the kind.
-        reach_m: radius of the foot.
-        head_m: top of the column.
-        thick_m: diameter of the column.
-        look: material of all parts.
-    """
+    """Make a column on a round plate or a trumpet-shaped foot of radius `reach_m`, or a drum."""
     radius, kind = thick_m / 2, draw.choose(["plate", "trumpet", "trumpet", "drum"])
     if kind == "drum":
         neck = reach_m * draw.between(0.55, 0.8)

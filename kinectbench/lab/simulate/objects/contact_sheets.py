@@ -24,10 +24,6 @@ FORWARD = np.array([-0.55, -0.8, -0.42])
 def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
     """Draw a subject's coloured pieces in one oblique parallel view, from its front right and from above.
 
-    Args:
-        subject: the object to draw.
-        size_px: edge of the picture.
-
     Returns:
         (size_px, size_px, 3) uint8 RGB.
     """
@@ -44,12 +40,7 @@ def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
 
 
 def contact_sheet(family: str, seeds: Sequence[int], size_px: int) -> NDArray[np.uint8]:
-    """Draw objects of one family in rows of four, each with its name and size in cm below it.
-
-    Args:
-        family: one of `families()`.
-        seeds: seeds of the objects.
-        size_px: edge of one picture.
+    """Draw objects of one of `families()` in rows of four, each with its name and size in cm below it.
 
     Returns:
         (rows * (size_px + 22), 4 * size_px, 3) uint8 RGB.

@@ -88,10 +88,7 @@ class Family:
 def glue(name: str, parts: Parts, origin: str) -> Subject:
     """Unite parts into one solid, with its bounding box centred at x = y = 0 and standing on z = 0.
 
-    Args:
-        name: the subject's name.
-        parts: closed parts that overlap, metres.
-        origin: where the solid comes from, one line.
+    The parts are closed and overlap, metres; `origin` says in one line where the solid comes from.
     """
     glued = tuple(parts)
     whole = union([part.shape for part in glued])

@@ -43,11 +43,8 @@ def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
     If all bodies of the mesh are closed or have only small holes, the holes are filled, and the solid is the
     exact union of the bodies. Any other mesh is voxelised by the paper authors' rule for open meshes
     (`voxelize_open`). If closing the mesh changed its surface, the camera sees the solid's surface, in the
-    file's colours, so that images and truth agree.
-
-    Args:
-        path: obj, ply, stl, glb or off, in metres.
-        up: the file's axis that points up.
+    file's colours, so that images and truth agree. The file is obj, ply, stl, glb or off, in metres; its axis
+    `up` points up.
 
     Returns:
         The subject, with a piece for each colour of the file. If the file has neither colours nor materials,

@@ -133,12 +133,7 @@ def leg(
 ) -> Manifold:
     """Make a prism between two horizontal ends, perhaps leaning and tapered.
 
-    Args:
-        foot_m: middle of the lower end.
-        head_m: middle of the upper end.
-        foot_size_m: size of the lower end in x and y; one number if both are the same.
-        head_size_m: size of the upper end.
-        is_round: whether the ends are ellipses instead of rectangles.
+    An end's size is in x and y, or one number if both are the same; round ends are ellipses.
     """
     ends = []
     for center, size in ((foot_m, foot_size_m), (head_m, head_size_m)):

@@ -259,12 +259,7 @@ class FoundMessages:
 
 
 def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
-    """Unpack a chunk to the size that its header states; return fewer bytes if the data ends early.
-
-    Args:
-        compression: "bz2", "lz4" or "zstd".
-        data: the compressed bytes.
-        size: unpacked size that the chunk's header states.
+    """Unpack a "bz2", "lz4" or "zstd" chunk to the `size` in its header; return less if the data ends early.
 
     Raises:
         DamagedRecordError: the chunk is damaged, too large, or compressed in an unknown way.
@@ -329,12 +324,7 @@ def unpacked_message(data: bytes) -> bytes:
 
 
 def known_types(name: str, definition: str, store: "Typestore") -> "Typesdict":
-    """Parse a definition; return the types that the message uses and the store lacks, for registering.
-
-    Args:
-        name: name of the message's type, in ROS 2's spelling.
-        definition: text that defines this type and its nested types.
-        store: store of the known types.
+    """Parse the definition of a ROS 2 type; return the types that it uses and the store lacks.
 
     Raises:
         ValueError: the definition is damaged or exceeds the limits; the message says which.

@@ -39,12 +39,7 @@ ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
 
 def walk_mcap(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
-    """Find the messages of the wanted types in an mcap file.
-
-    Args:
-        path: the file.
-        types: the wanted types, in ROS 1's spelling.
-        budget: limits for the whole bag.
+    """Find the messages of the wanted types (ROS 1's spelling) in an mcap file, within `budget`.
 
     Raises:
         RecordingError: the topics are serialised in an unreadable way.
@@ -92,12 +87,7 @@ class _Walk:
     ) -> bool:
         """Take the records from `start` to `end`; return whether there was a footer.
 
-        Args:
-            file: the file, or the unpacked chunk.
-            start: position of the first record in it.
-            end: end of the last record.
-            chunk: position of the unpacked chunk's record; -1: `file` is the file itself.
-            nested: whether the records are inside a chunk.
+        `chunk` is the position of the unpacked chunk's record; -1: `file` is the file itself.
         """
         position = start
         while position + RECORD.size <= end:

@@ -36,12 +36,7 @@ LOST_TIMES = 4
 
 
 def walk_sqlite(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
-    """Find the messages of the wanted types in an sqlite3 file.
-
-    Args:
-        path: the file.
-        types: the wanted types, in ROS 1's spelling.
-        budget: limits for the whole bag.
+    """Find the messages of the wanted types (ROS 1's spelling) in an sqlite3 file, within `budget`.
 
     Raises:
         RecordingError: the file is not a bag's database.

@@ -16,12 +16,7 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings
 from kinectbench.settings.pick import PICK_FILE
-from kinectbench.stages.ingest.depth_codes import (
-    ROTATED_SCALES,
-    SAMPLED_IMAGES,
-    Pattern,
-    find_pattern,
-)
+from kinectbench.stages.ingest.depth_codes import ROTATED_SCALES, SAMPLED_IMAGES, Pattern, find_pattern
 from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError, decode_depth_png
 from kinectbench.stages.ingest.known_names import misnamed, visible
 from kinectbench.stages.ingest.readers.color_only import without_depth
@@ -96,10 +91,7 @@ def open_recording(
 ) -> Recording:
     """Open a recording of any known format.
 
-    Args:
-        path: the folder or file.
-        camera: values that override those of the recording.
-        follow_links: whether to follow links; otherwise a recording that contains any is refused.
+    `camera` overrides the recording's values. Without `follow_links`, a recording with links is refused.
 
     Raises:
         RecordingError: the recording is missing, of unknown format, or unusable.
@@ -169,11 +161,8 @@ def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str
     """Return (path, format) of every recording in a folder and below, sorted. Recordings are not nested.
 
     A folder is skipped, with all below it, if it is unreadable, starts with a dot, was made by a build, or
-    contains the ground truth of a simulated recording. A link is looked at, but not what lies below it.
-
-    Args:
-        folder: the folder to search.
-        most: largest number of files and folders to look at.
+    contains the ground truth of a simulated recording. A link is looked at, but not what lies below it. At
+    most `most` files and folders are looked at.
     """
     return list(_recordings_below(folder, iter(range(most))))
 
@@ -342,10 +331,7 @@ def _by_pattern(recording: FileRecording, pattern: Pattern, *, in_mm: bool) -> R
             note += f"; in mm its median is {pattern.median / MM_SCALE:.2f} m: if its unit is 0.1 mm, "
             note += "`depth_scale: 10000`"
         return replace(
-            recording,
-            depth_code="rotated",
-            depth_scale=pattern.units,
-            warnings=(*recording.warnings, note),
+            recording, depth_code="rotated", depth_scale=pattern.units, warnings=(*recording.warnings, note)
         )
     unit = "mm" if in_mm else f"{recording.depth_scale:g} units per metre"
     note = f"{what}: it is read in {unit}; if its bits are rotated, as {whose}'s are, give {written}"

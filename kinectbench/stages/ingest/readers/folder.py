@@ -246,11 +246,7 @@ def pair_files(
 ) -> tuple[tuple[FrameFiles, ...], tuple[tuple[int, ...], tuple[int, ...]], tuple[str, ...]]:
     """Pair two lists of images by their names into frames, which have no masks yet.
 
-    Args:
-        depth: depth images in numeric order.
-        color: colour images in numeric order; may be empty.
-        settings: gives the delay of colour.
-        path: the recording's folder.
+    Both lists are in numeric order; that of colour may be empty.
 
     Returns:
         The frames sorted by stamp; the stamps of depth and of colour in the order of the lists, for

@@ -9,13 +9,7 @@ from pathlib import Path
 
 from kinectbench.core import listed as names_of
 from kinectbench.core import printable, read_head, scanned
-from kinectbench.stages.ingest.depth_files import (
-    ARRAYS,
-    READ_EXR,
-    SUFFIXES,
-    depth_size_px,
-    shapes_of_arrays,
-)
+from kinectbench.stages.ingest.depth_files import ARRAYS, READ_EXR, SUFFIXES, depth_size_px, shapes_of_arrays
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.ingest.readers.folder_images import LEAST_IMAGES, LEAST_SIDE_PX, is_named_depth
 from kinectbench.stages.ingest.recording import read_image_file
@@ -239,10 +233,6 @@ def conversion(listed: Listed, file: Path) -> str:
     """Return the words "write it as ...", with a line of Python that does it, if the kind of file has one.
 
     There is no line if the name holds a backtick, which would end it.
-
-    Args:
-        listed: the files of the recording's folder.
-        file: one of its files of depth.
     """
     kind, name = file.suffix.lower(), file.relative_to(listed.path).as_posix()
     template = _raw(listed, file) if kind in BARE else READ_BY.get(kind, "")

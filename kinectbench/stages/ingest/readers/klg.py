@@ -138,10 +138,6 @@ class KlgRecording(PackedRecording):
 def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[int], list[str]]:
     """Replace implausible stamps, and find the order of frames by stamp without repeated stamps.
 
-    Args:
-        frames: in file order.
-        path: the file, for warnings.
-
     Returns:
         The frames in file order, stamped 0 s, 1 s, 2 s, ... if their own stamps cannot be times (`no_times`);
         the indices of the frames to keep, by ascending stamp; and warnings.

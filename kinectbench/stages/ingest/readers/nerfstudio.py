@@ -17,14 +17,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core import (
-    GivenPosesError,
-    IntrinsicsError,
-    RecordingError,
-    printable,
-    quoted,
-    read_head,
-)
+from kinectbench.core import GivenPosesError, IntrinsicsError, RecordingError, printable, quoted, read_head
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices

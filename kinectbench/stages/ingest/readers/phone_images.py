@@ -98,11 +98,7 @@ def confidence_beside(
 ) -> tuple[tuple[Path | None, ...], int, tuple[str, ...]]:
     """Find the images in confidence/ beside depth/, named as those of depth.
 
-    Args:
-        path: the recording's folder.
-        files: the frames.
-        size_px: width and height of the depth images; confidence of another size is not used.
-        least: `min_confidence`, for the warning.
+    Confidence of another size than depth's is not used.
 
     Returns:
         `confidence` and `full_confidence` of `ConfidenceRecording` (no files if none is used), and warnings.
@@ -223,11 +219,7 @@ def times_or_counted(times_s: Float64, counted_ns: Sequence[int], path: Path) ->
 
 
 def one_camera(rows: Float64, path: Path) -> tuple[Float64, list[str]]:
-    """Compute the median camera of frames with slightly different intrinsics.
-
-    Args:
-        rows: (n, 4) fx, fy, cx, cy of each frame, pixels.
-        path: the recording, for messages.
+    """Compute the median camera of frames whose fx, fy, cx, cy (n, 4), pixels, differ slightly.
 
     Returns:
         The pinhole matrix (3, 3), and a warning if frames differ more than usual.

@@ -12,10 +12,7 @@ from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
 from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_numbers, text_rows
-from kinectbench.core.trajectory.trajectory_file import (
-    read_trajectory_file,
-    trajectory_from_matrices,
-)
+from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER, frame_numbers
 from kinectbench.stages.ingest.intrinsics_files import names_like
@@ -60,11 +57,7 @@ def named_poses(
 ) -> tuple[GivenTrajectory | None, list[str]]:
     """Read poses from pose.txt, or under the names of the frames in a file, if there are no others.
 
-    Args:
-        path: the recording's folder.
-        beside: its visible files, at least its texts and JSON files.
-        stamps_ns: stamps of the frames, strictly increasing.
-        stems: names of the depth images without suffix.
+    `beside` are at least the visible texts and JSON files. Stamps increase strictly; stems have no suffix.
 
     Returns:
         The trajectory (None if there are no such poses), and warnings.
@@ -98,11 +91,8 @@ def _covers(trajectory: GivenTrajectory, stamps_ns: Sequence[int]) -> bool:
 def pose_file(path: Path, beside: Sequence[Path]) -> Path | None:
     """Return the recording's one file with the poses of all frames; None if there is no such file.
 
-    ICL-NUIM's file has the suffix .freiburg, as in livingRoom2n.gt.freiburg.
-
-    Args:
-        path: the recording's folder.
-        beside: its visible files, at least those with this suffix.
+    ICL-NUIM's file has the suffix .freiburg, as in livingRoom2n.gt.freiburg. `beside` are at least the
+    visible files of these suffixes.
     """
     others = [file for file in beside if file.suffix.lower() == ".freiburg"]
     return first_named(path, POSE_FILES) or (others[0] if len(others) == 1 else None)
@@ -117,12 +107,8 @@ def read_pose_file(
     are as many rows as frames, rows and frames are matched in order. A row of RTAB-Map with an id belongs to
     the frame with that number. Rows without stamps (7 values), and matrices (12 or 16 values in a row, or in
     rows of four), are in the order of frames; with a number above each matrix, they belong to the frames with
-    these indices, from 0.
-
-    Args:
-        file: text file in one of these layouts.
-        stamps_ns: stamps of the frames, strictly increasing.
-        stems: names of the depth images without suffix.
+    these indices, from 0. The frames' stamps increase strictly; `stems` are the names of depth images without
+    suffix.
 
     Returns:
         The trajectory (None if no pose is usable), and warnings.
@@ -170,10 +156,6 @@ def read_pose_file(
 
 def with_y_down(given: GivenTrajectory, path: Path) -> tuple[GivenTrajectory, str]:
     """Mirror y of cameras and world in poses of cameras whose y axis points up (`Intrinsics.y_up`).
-
-    Args:
-        given: the poses.
-        path: the recording, for the warning.
 
     Returns:
         The mirrored poses, and a warning.

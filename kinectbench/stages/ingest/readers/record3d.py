@@ -22,11 +22,7 @@ from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.images import (
-    FLOAT_SCALE,
-    DamagedImageError,
-    quantised,
-)
+from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError, quantised
 from kinectbench.stages.ingest.json_values import json_numbers, number_of, object_of
 from kinectbench.stages.ingest.readers.archive import Archive, holds
 from kinectbench.stages.ingest.readers.phone_images import (

@@ -37,11 +37,7 @@ class ZippedFrame(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class RedwoodZipRecording(Recording):
-    """A scan in its zip archive, which does not contain the trajectory.
-
-    Attributes:
-        archive: reads the images.
-    """
+    """A scan in its zip archive, which does not contain the trajectory."""
 
     format: ClassVar[str] = "redwood_zip"
     uses: ClassVar[frozenset[str]] = COLOR_DELAY

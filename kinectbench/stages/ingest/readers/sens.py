@@ -55,11 +55,7 @@ class SensHead(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SensRecording(PackedRecording):
-    """A .sens file; its intrinsics and extrinsics calibrate colour relative to depth.
-
-    Attributes:
-        head: the file's header.
-    """
+    """A .sens file; its intrinsics and extrinsics calibrate colour relative to depth."""
 
     format: ClassVar[str] = "sens"
     looks_for: ClassVar[str] = "a .sens file of ScanNet (version 4)"

@@ -19,11 +19,7 @@ from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.known_names import first_file, visible
 from kinectbench.stages.ingest.readers.folder import DepthFormat
-from kinectbench.stages.ingest.readers.phone_images import (
-    GRAVITY_UP,
-    PhoneRecording,
-    intrinsics_of_depth,
-)
+from kinectbench.stages.ingest.readers.phone_images import GRAVITY_UP, PhoneRecording, intrinsics_of_depth
 from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size
 
 if TYPE_CHECKING:
