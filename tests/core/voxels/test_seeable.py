@@ -24,13 +24,10 @@ from kinectbench.core.voxels.lines_of_sight import directions, seen_along
 from kinectbench.core.voxels.morphology import reached_from_beyond
 from kinectbench.core.voxels.open_below import (
     OPEN_WAYS,
-    OVER_OPEN,
-    OVER_ROOM,
     THROUGH_WAYS,
-    UNDECIDED,
     WAYS_BESIDE_LEG,
     _level_ways_out,
-    over_open_space,
+    underside_over_open_space,
 )
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid, seen_from_outside
 from kinectbench.core.voxels.sight import (
@@ -301,35 +298,29 @@ def level_ways(blocked: Bools, place: Bools) -> NDArray[np.int64]:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_is_over_open_space(seed: int) -> None:
+def test_the_underside_over_open_space(seed: int) -> None:
     rng = np.random.default_rng(seed)
     kind = rng.choice(5, (7, 8, 9), p=[0.3, 0.25, 0.1, 0.05, 0.3])
     part, body, obstacle, free = (kind == n for n in (1, 2, 3, 4))
-    ways, below = level_ways(obstacle, ~part), {}
+    ways, over = level_ways(obstacle, ~part), {}
     for least in (OPEN_WAYS, WAYS_BESIDE_LEG):
-        below[least] = np.zeros(part.shape, int)
-        for i, j, k in np.argwhere(part):
-            bottom = k
-            while bottom and part[i, j, bottom - 1]:
-                bottom -= 1
-            first = bottom
+        over[least] = np.zeros_like(part)
+        for i, j, k in np.argwhere(part[:, :, 1:] & ~(part | body)[:, :, :-1]):
+            first = k
             while first and not (part | body)[i, j, first - 1]:
                 first -= 1
-            gap = "".join("o" if each >= least else "." for each in ways[i, j, first:bottom])
-            passes = first == 0 < bottom and ways[i, j, 0] >= THROUGH_WAYS
-            room = bottom == 0 or free[i, j, first:bottom].any()
-            below[least][i, j, k] = OVER_OPEN if "oo" in gap or passes else OVER_ROOM if room else UNDECIDED
-    pieces, count = ndimage.label(part)
-    for beside in (0, 1):
+            column = free[i, j, first : k + 1]
+            rooms = np.flatnonzero(column[1:] & ~column[:-1]) + 1
+            low = first == 0 and not len(rooms) and (ways[i, j, : k + 1] >= THROUGH_WAYS).all()
+            first += rooms[-1] if len(rooms) else 0
+            gap = "".join("o" if each >= least else "." for each in ways[i, j, first : k + 1])
+            over[least][i, j, k] = "oo" in gap or low
+    for beside, line in ((0, 1), (1, 2)):
         square = np.ones((2 * beside + 1, 2 * beside + 1, 1))
-        at_legs = ndimage.binary_dilation(below[OPEN_WAYS] == OVER_OPEN, square)
-        over = np.where(at_legs & (below[WAYS_BESIDE_LEG] == OVER_OPEN), OVER_OPEN, below[OPEN_WAYS])
-        expected = over == OVER_OPEN
-        for piece in range(1, count + 1):
-            of = pieces == piece
-            if (over[of] == OVER_OPEN).sum() > (over[of] == OVER_ROOM).sum():
-                expected |= of & (over == UNDECIDED)
-        found = over_open_space(part, body, free, obstacle, height=2, beside=beside)
+        beside_open = ndimage.binary_dilation(over[OPEN_WAYS], square)
+        opened = over[OPEN_WAYS] | (beside_open & over[WAYS_BESIDE_LEG])
+        expected = part & ndimage.binary_dilation(opened, np.ones((2 * line + 1, 2 * line + 1, 3)))
+        found = underside_over_open_space(part, body, free, obstacle, height=2, beside=beside, line=line)
         assert (found == expected).all() and expected.any()
 
 
