@@ -131,15 +131,14 @@ def _over_open(filled, free, ways, height, least):  # type: ignore[no-untyped-de
     opened = np.zeros(filled.shape, np.bool_)
     for i in range(nx):
         for j in range(ny):
-            high, low, is_open = 0, True, False
+            high, low, is_open, was_free = 0, True, False, False
             for k in range(nz):
-                into_room = k > 0 and free[i, j, k] and not free[i, j, k - 1]
+                into_room = was_free and free[i, j, k] and not free[i, j, k - 1]
                 if filled[i, j, k] or into_room:
                     high, low, is_open = 0, False, False
-                if filled[i, j, k]:
-                    continue
+                was_free = (was_free or free[i, j, k]) and not filled[i, j, k]
                 low &= ways[i, j, k] >= THROUGH_WAYS
                 high = high + 1 if ways[i, j, k] >= least else 0
-                is_open |= high >= height
-                opened[i, j, k] = low or is_open
+                is_open |= low or high >= height
+                opened[i, j, k] = is_open and not filled[i, j, k]
     return opened

@@ -310,11 +310,12 @@ def test_the_underside_over_open_space(seed: int) -> None:
             while first and not (part | body)[i, j, first - 1]:
                 first -= 1
             column = free[i, j, first : k + 1]
-            rooms = np.flatnonzero(column[1:] & ~column[:-1]) + 1
-            low = first == 0 and not len(rooms) and (ways[i, j, : k + 1] >= THROUGH_WAYS).all()
+            lit = np.maximum.accumulate(column)
+            rooms = np.flatnonzero(lit[:-1] & column[1:] & ~column[:-1]) + 1
+            passes = first == 0 and not len(rooms) and ways[i, j, 0] >= THROUGH_WAYS
             first += rooms[-1] if len(rooms) else 0
             gap = "".join("o" if each >= least else "." for each in ways[i, j, first : k + 1])
-            over[least][i, j, k] = "oo" in gap or low
+            over[least][i, j, k] = "oo" in gap or passes
     for beside, line in ((0, 1), (1, 2)):
         square = np.ones((2 * beside + 1, 2 * beside + 1, 1))
         beside_open = ndimage.binary_dilation(over[OPEN_WAYS], square)
