@@ -137,7 +137,7 @@ def image_sharpness(gray: NDArray[np.uint8]) -> float:
 
 
 def relative_blur(sharpness: Float64) -> Float64:
-    """Return blur (n,) from sharpness (n,): 1 as the median frame, 2 half as sharp; NaN where unknown."""
+    """Return blur (n,) by sharpness (n,): 1: as sharp as the median frame, 2: half as sharp, NaN: unknown."""
     known = np.isfinite(sharpness) & (sharpness > 0)
     relative = np.full(len(sharpness), np.nan)
     if known.any():

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from kinectbench.core.geometry import TriangleMesh, isosurface, raycaster
 from kinectbench.core.images import shrunk
@@ -183,6 +182,8 @@ def block_density(packed: NDArray[np.uint8]) -> Float32:
 
 def blurred_density(density: Float32) -> Float32:
     """Blur a grid (nx, ny, nz) by (1, 2, 1) / 4 along each axis, so that its isosurface is smooth."""
+    from scipy import ndimage
+
     for axis in range(3):
         density = ndimage.correlate1d(density, [0.25, 0.5, 0.25], axis, mode="constant")
     return density
@@ -193,8 +194,8 @@ def new_figure(
 ) -> "Figure":
     """Make an empty figure for a plot.
 
-    Sizes are in inches; left, bottom, right and top margin are fractions of the figure. None: as the labels
-    need, which doubles the drawing time.
+    Sizes are in inches. `margins` are left, bottom, right and top, as fractions of the figure; None: as the
+    labels need, which doubles the drawing time.
     """
     # Without pyplot there is no global state, and no display is needed.
     from matplotlib.figure import Figure

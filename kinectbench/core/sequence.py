@@ -139,7 +139,7 @@ def stored_bgr(data: bytes, index: int) -> NDArray[np.uint8]:
 
 
 def depth_in_metres(native: NDArray[np.uint16], depth_scale: float) -> Float32:
-    """Convert depth of any shape from native units, `depth_scale` a metre, to float32 metres; 0 stays 0."""
+    """Convert depth of any shape to float32 metres; `depth_scale` is native units per metre; 0 stays 0."""
     return native.astype(np.float32) / np.float32(depth_scale)
 
 

@@ -94,7 +94,9 @@ def listed_paths(
 
 
 def listed_below(folder: Path, most: int = MOST_LISTED, *, with_empty: bool = False) -> Iterator[Path]:
-    """Yield every file, link and, `with_empty`, empty folder below a folder, unordered; follow no links.
+    """Yield every file and link below a folder, unordered; links are not followed.
+
+    With `with_empty`, empty folders are yielded, too.
 
     Raises:
         OSError: a folder cannot be read; EFBIG: there is more than `most`.

@@ -75,7 +75,7 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
     If the poses fit as they are, a candidate must fit clearly better. If the images are not files, as in a
     bag, only scales are candidates.
 
-    `poses` fit the depth as it is read; None: there are none, or too few to judge.
+    `poses` is the fit of the given poses to the depth as it is read; None: no poses, or too few to judge.
     """
     recording = probe.recording
     if recording.given_trajectory is None:

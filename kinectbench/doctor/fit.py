@@ -121,7 +121,7 @@ def _beside(first: int, poses: Float64) -> list[int]:
 
 
 def fits(residual_m: float, pairs: Sequence[FramePair]) -> bool:
-    """Whether `pair_residual_m` of these pairs is small enough, beside depth noise, for poses to fit."""
+    """Whether the poses fit: `pair_residual_m` of the pairs, metres, is small compared with depth noise."""
     distance_m = float(np.median(np.concatenate([pair.points[:, 2] for pair in pairs])))
     noise_m = np.sqrt(2) * depth_sigma_m(distance_m)
     return bool(residual_m <= min(FITTING_NOISES * noise_m, MOST_FITTING_M))

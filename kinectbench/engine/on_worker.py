@@ -49,7 +49,8 @@ def keep_freed_memory() -> None:
 def call(packed: bytes, topic: str, versions: Mapping[str, str]) -> object:
     """Run a pickled task on this worker.
 
-    `packed` is (function, task), `topic` that of messages to the client, whose packages have `versions`.
+    `packed` is the pickled function and task, `topic` that of the task's messages to the client, and
+    `versions` are those of the client's packages.
 
     Raises:
         ClusterError: this worker's packages have other versions.

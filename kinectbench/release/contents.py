@@ -106,9 +106,10 @@ def no_release(path: Path) -> ReleaseError:
 
 
 def release_files(folder: Path, *, with_empty: bool = False) -> Iterator[Path]:
-    """Yield each file, link and, `with_empty`, empty folder below a release except SHA256SUMS, sorted.
+    """Yield the path of every file and link below a release's folder except SHA256SUMS, sorted.
 
-    Links are not followed. If the folder is missing, nothing is yielded.
+    With `with_empty`, empty folders are yielded, too. Links are not followed. If the folder is missing,
+    nothing is yielded.
 
     Raises:
         ReleaseError: there are too many files, or a folder cannot be read.

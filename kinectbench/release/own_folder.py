@@ -73,8 +73,9 @@ def refuse_other_content(out: Path) -> None:
 
 @contextlib.contextmanager
 def owned(folder: Path) -> Iterator[None]:
-    """Lock a folder, made if missing, in a `with` block, after other writers; remove leftover downloads.
+    """Lock a folder during a `with` block, after waiting for other writers; then remove leftover downloads.
 
+    The folder is made if missing.
     On a file system without locks nothing is removed, because another fetch may be running.
 
     Raises:

@@ -84,7 +84,7 @@ def similarity_to_camera(method: MethodFile, name: str, view: str) -> Float64:
 
 
 def read_shape(path: Path, name: str) -> CameraShape:
-    """Read a predicted .ply (mesh or cloud), .obj, .glb or .npz in its own coordinates; errors say `name`.
+    """Read a predicted .ply (mesh or cloud), .obj, .glb or .npz in its own coordinates; `name` is for errors.
 
     Raises:
         PredictionError: the file is invalid; the message is one line.

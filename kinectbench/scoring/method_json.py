@@ -114,7 +114,10 @@ def _unknown_keys(method: MethodFile) -> Iterator[str]:
 
 
 def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list[str]:
-    """Return files whose `digests`, by path in the method's folder, are not method.json's, sorted; or []."""
+    """Return the files whose digests differ from method.json, sorted; [] if it lists no files.
+
+    `digests` are {file, relative to the method's folder: digest of its bytes}.
+    """
     if method is None or method.files is None:
         return []
     return sorted(name for name, digest in digests.items() if method.files.get(name) != digest)

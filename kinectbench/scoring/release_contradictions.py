@@ -17,7 +17,7 @@ from kinectbench.scoring.thresholds import VALIDATION_SOURCE
 
 
 def release_contradictions(table: ScoreTable, release: Release) -> Iterator[str]:
-    """Yield a sentence for each value in a table scored against the release that contradicts it."""
+    """Yield a sentence for each value in a table that contradicts the release it was scored against."""
     test = {target.name: target for target in release.split("test")}
     yield from _rows(table, test)
     scored = {row.pair for row in table.rows}

@@ -36,8 +36,8 @@ def score(
 ) -> ScoreTable:
     """Score the test split; predictions of the validation split serve only to choose the thresholds.
 
-    The predictions, one file `<recording>/<view>` each, are untrusted. In `resume_in`, if given, counts are
-    kept until all pairs are counted. `options` are the attributes of `Request`.
+    `predictions` is one method's folder, untrusted, with a file `<recording>/<view>` for each view. Counts
+    are kept in `resume_in`, if given, until all pairs are counted. `options` are the attributes of `Request`.
 
     Returns:
         The table. A prediction that cannot be scored is listed in `failures`; all others are scored.

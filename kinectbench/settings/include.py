@@ -39,7 +39,8 @@ class _Left:
 def with_included(root: yaml.MappingNode, config: Path, allowance: yaml_nodes.Allowance) -> yaml.MappingNode:
     """Append the recordings of the included files to the nodes of a benchmark.yaml.
 
-    Names are relative to the folder of `config`; all files together share `allowance`.
+    Names are relative to the folder of `config`; `allowance` is the number of values that all files
+    together may still have.
 
     Returns:
         Nodes without `include:`; each recording keeps its file and line number. If `include:` has the wrong

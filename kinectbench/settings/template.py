@@ -34,7 +34,8 @@ HEADER = """\
 def init_benchmark(folder: Path, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str]) -> str:
     """Write the text of a valid benchmark.yaml for the recordings found in a folder.
 
-    The folder's name becomes the benchmark's. Suffixes of paths, such as ".bag", are dropped from ids.
+    The folder's name becomes the benchmark's. Of each recording, `recordings` has the path relative to the
+    folder, and the format's name. Suffixes of paths, such as ".bag", are dropped from ids.
 
     Raises:
         SettingsError: there are no recordings.
@@ -74,7 +75,8 @@ def extended_benchmark(
 ) -> Extended:
     """Append to a benchmark.yaml those recordings of its folder that it lacks.
 
-    Paths are relative to the file's folder; suffixes of paths, such as ".bag", are dropped from ids.
+    Of each recording, `recordings` has the path relative to the file's folder, and the format's name.
+    Suffixes of paths, such as ".bag", are dropped from ids.
 
     Raises:
         SettingsError: the old or the new text has an error, or the file cannot be changed safely.

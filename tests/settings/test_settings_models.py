@@ -126,9 +126,10 @@ def test_suggestions() -> None:
     assert range_in_words([]) == ""
 
 
-def test_reading_settings_loads_no_heavy_library() -> None:
+def test_reading_settings_and_bags_loads_no_heavy_library() -> None:
     code = (
         "import sys, kinectbench.settings.models, kinectbench.settings.file, kinectbench.core.storage\n"
+        "import kinectbench.stages.ingest.bags.rosbag1, kinectbench.stages.ingest.bags.rosbag2\n"
         "heavy = {'open3d', 'cv2', 'numba', 'trimesh', 'scipy', 'rosbags', 'jinja2', 'rich', 'matplotlib'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )

@@ -3,6 +3,7 @@
 import importlib
 import re
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -22,7 +23,6 @@ from kinectbench.core.untrusted import read_plain
 if TYPE_CHECKING:
     from open3d.core import Tensor
     from open3d.t.geometry import RaycastingScene
-import threading
 
 # A function that makes an Open3D tensor from an array.
 Tensors = Callable[[NDArray[np.generic]], "Tensor"]

@@ -295,7 +295,8 @@ HELD_M = 0.8
 class StillRenderer:
     """Renders moving items and static surroundings, each from its own pose, into one image.
 
-    It has the methods of `Renderer`. The object is lit as if the light moved with it.
+    It has the methods of `Renderer`. Frame `room` moves with the object, so a path's pose is that of the rig
+    relative to the object. The object is lit as if the light moved with it.
 
     Attributes:
         own: renderer of the object, and of the arm or the plate that moves with it.

@@ -75,8 +75,8 @@ def assemble(
 ) -> tuple[int, str]:
     """Collect the files of all finished tasks in `out`, atomically replacing its content.
 
-    Files are linked instead of copied, if the disk allows it. The settings are without paths. The lines, the
-    report, are for the dataset card or synthesis.json.
+    Files are linked instead of copied, if the disk allows it. The settings are without paths. `lines` are
+    the report, for the dataset card or synthesis.json.
 
     Returns:
         The number of pairs, and the release's benchmark_sha256; "" in layout recgan.

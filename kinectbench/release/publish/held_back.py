@@ -159,7 +159,7 @@ def isolated_view(view: PosedView) -> PosedView:
 
 
 def isolated_input(pair: Pair, view: PosedView) -> PairInput:
-    """Return the input of a pair of framing `view` in the camera frame; `seen` is by the view alone."""
+    """Return the input of a pair of framing `view` in the camera frame; `seen` is of the view alone."""
     values = {key: getattr(pair, key) for key in INPUT_KEYS}
     T_camera_grid = np.round(invert_rigid(pair.T_world_camera) @ pair.T_world_grid, DECIMALS) + 0.0  # no -0
     own = Grid(pair.grid.shape, pair.voxel_size_m, T_camera_grid)

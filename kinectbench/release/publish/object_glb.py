@@ -30,7 +30,7 @@ MATRIX_DECIMALS, MM_DECIMALS = 12, 3
 def write_glbs(folder: Path, recordings: Iterable[str], scenes: Path | None = None) -> None:
     """Write a GLB for each recording with a mesh.ply in the release; held-back recordings have none.
 
-    Scene meshes in `scenes`, `build/`, give the objects' colours; None if no colour is published.
+    Scene meshes in `scenes` (`build/`) give the objects' colours; None if no colour is published.
 
     Raises:
         StorageError: a mesh or a floor is damaged.

@@ -81,8 +81,8 @@ def judged(
 ) -> Iterator[Judged]:
     """Yield the reasons against every recording of a benchmark, in the order of the settings.
 
-    Values that are not known give no reason. `built` are ids of recordings whose pairs are built. To find
-    only violated limits and failures, `by_limits_alone`, takes milliseconds.
+    Values that are not known give no reason. `built` are ids of recordings whose pairs are built. With
+    `by_limits_alone`, only violated limits and failures are found, which takes milliseconds.
 
     Raises:
         StorageError: a built file is damaged.

@@ -33,8 +33,8 @@ def space_baselines(
 ) -> list[ScoreTable]:
     """Return the tables of the named baselines, in this order, except baselines in `WITHOUT_SURFACE`.
 
-    Without a threshold file in the request, thresholds are chosen per baseline on the validation split, or
-    are 0.5 if it has no pairs.
+    `protocols` are camera, aligned or both. Without a threshold file in the request, thresholds are
+    chosen per baseline on the validation split, or are 0.5 if it has no pairs.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.

@@ -21,7 +21,7 @@ def made_table(
 ) -> ScoreTable:
     """Return a method's table; if its rows equal those of a baseline, it is marked as a baseline's.
 
-    `make` makes the table from settings; those that the scores depend on are as `describe` returns them.
+    `make` makes the table from settings like `settings`, which `describe` returned.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.

@@ -45,7 +45,8 @@ def score_in_camera(
 ) -> ScoreTable:
     """Score the test split of a method whose predictions are in the camera frame.
 
-    The predictions are untrusted; an empty one has the worst value of each metric.
+    The predictions in `folder` are untrusted; an empty one has the worst value of each metric. `protocols`
+    are camera, aligned or both.
 
     Returns:
         The table. A prediction that cannot be scored is listed in `failures`; all others are scored.

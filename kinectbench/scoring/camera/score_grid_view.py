@@ -93,7 +93,8 @@ def score_grid_in_space(
 ) -> ScoreTable:
     """Score in space, on the test split, a method that predicts voxels in each pair's grid; return the table.
 
-    `asked`, made with `request`, has the prediction files, and thresholds or how to choose them.
+    `asked`, made with `request`, has the prediction files, and thresholds or how to choose them. `protocols`
+    are camera, aligned or both.
 
     Raises:
         ReleaseError: a pair file is missing or changed.

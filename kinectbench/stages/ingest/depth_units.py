@@ -39,7 +39,7 @@ def scale_of_keys(
     The meaning of `depth_scale` depends on its value. Beside `cam_K`, a value below 100 is BOP's, in mm per
     unit. Otherwise, a value below 1 is in metres per unit, as in librealsense, because as units per metre it
     would mean a unit longer than 1 m. Any other value is in units per metre. Only names in `MEANINGS` are
-    looked at; `of_bop`: the file has `cam_K`.
+    looked at; `of_bop` tells whether the file has `cam_K`.
 
     Returns:
         Units per metre; None if no such name is found, or if none of the values is a unit of 16-bit depth.

@@ -84,7 +84,7 @@ class Intrinsics:
     ) -> Camera:
         """Return the camera after checking that the values are complete and fit the images.
 
-        `beside` returns a hint, for messages, on files that may contain missing values.
+        `size_px` is depth's width and height; `beside` gives a hint on files that may have missing values.
 
         Raises:
             RecordingError: a value is missing, a focal length is impossible, the principal point is outside

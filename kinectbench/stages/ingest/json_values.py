@@ -27,7 +27,7 @@ def json_numbers(value: object) -> Float64:
 
 
 def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dict[str, object]:
-    """Read a JSON object of at most `most_bytes`; `what` it should hold is for messages.
+    """Read a JSON object of at most `most_bytes`; `what` is the expected content, for messages.
 
     Raises:
         RecordingError: the file is too large, not valid JSON, or no object.

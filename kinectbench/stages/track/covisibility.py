@@ -64,8 +64,8 @@ def covisible(thumbnails: Sequence[KeyframeThumbnail], T_world: Float64) -> list
     """Return (share, i, j) for the pairs i < j of keyframes that look at nearby places.
 
     `share` is the smaller of the pair's two `shared_view` values; it may be 0. Each keyframe is paired with
-    at most the 60 nearest others, so the cost grows linearly with the number of keyframes. Poses are (k, 4,
-    4), NaN where unknown.
+    at most the 60 nearest others, so the cost grows linearly with the number of keyframes. `T_world` is
+    (k, 4, 4), NaN where unknown.
     """
     known = [i for i in range(len(thumbnails)) if np.isfinite(T_world[i]).all() and len(thumbnails[i].points)]
     if len(known) < 2:

@@ -45,7 +45,7 @@ def find_outliers(residual: Float64, judged: Bools) -> Bools:
 
 
 def outlier_warnings(reasons: Mapping[int, str], source: Source) -> list[str]:
-    """Return a warning about frames left out as outliers, by the reasons of frames; [] if there are none."""
+    """Return a warning about frames left out as outliers, by {frame: why it has no pose}; [] if none."""
     frames = sorted(frame for frame, reason in reasons.items() if reason == OUTLIER_REASON)
     if not frames:
         return []

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from raising import raises
 
 from kinectbench.lab.simulate.writers.bags import encode_rvl
-from kinectbench.stages.ingest.bags.ros_images import decode_rvl
+from kinectbench.stages.ingest.bags.rvl import decode_rvl
 from kinectbench.stages.ingest.images import DamagedImageError
 
 

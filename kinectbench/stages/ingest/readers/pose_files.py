@@ -57,7 +57,8 @@ def named_poses(
 ) -> tuple[GivenTrajectory | None, list[str]]:
     """Read poses from pose.txt, or under the names of the frames in a file, if there are no others.
 
-    `beside` are at least the visible texts and JSON files. Stamps increase strictly; stems have no suffix.
+    `beside` are at least the visible texts and JSON files. The frames' stamps increase strictly; `stems` are
+    the names of depth images without suffix.
 
     Returns:
         The trajectory (None if there are no such poses), and warnings.
@@ -92,7 +93,7 @@ def pose_file(path: Path, beside: Sequence[Path]) -> Path | None:
     """Return the recording's one file with the poses of all frames; None if there is no such file.
 
     ICL-NUIM's file has the suffix .freiburg, as in livingRoom2n.gt.freiburg. `beside` are at least the
-    visible files of these suffixes.
+    visible files with this suffix.
     """
     others = [file for file in beside if file.suffix.lower() == ".freiburg"]
     return first_named(path, POSE_FILES) or (others[0] if len(others) == 1 else None)

@@ -26,9 +26,9 @@ def _is_number(word: str) -> bool:
 
 
 def read_log(file: Path, frames: int) -> list[Float64]:
-    """Read a Redwood log of so many frames; return each one's camera to world (4, 4), NaN if it has none.
+    """Read a Redwood log; return camera to world (4, 4) of each of `frames` frames, NaN if it has none.
 
-    It has blocks of five rows: `i j k`, of which only i is used, the frame's index from 0; a 4x4 matrix.
+    The file has blocks of five rows: `i j k`, then a 4x4 matrix. Only i is used, the frame's index from 0.
 
     Raises:
         RecordingError: a block is incomplete, or names no frame.
