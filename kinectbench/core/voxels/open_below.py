@@ -15,8 +15,10 @@ from kinectbench.core.voxels.morphology import dilated, reached_from_beyond
 OPEN_WAYS = 5
 # Beside a leg of an object, one fewer of them leads out.
 WAYS_BESIDE_LEG = 4
-# Between side panels that stand on the floor, this many lead out: a closed body lets none out down there.
-THROUGH_WAYS = 2
+# By the bits of the rays that lead out: their number, and whether two opposite rays do, as between side
+# panels that stand on the floor. Through one door, none are opposite.
+NUMBER = np.array([bits.bit_count() for bits in range(256)], np.uint8)
+OPPOSITE = np.array([any(bits >> ray & bits >> (7 - ray) & 1 for ray in range(4)) for bits in range(256)])
 # Within this distance of a camera position there is one whose ways out no leg blocks: legs are thinner.
 BESIDE_M = 0.3
 
@@ -35,7 +37,7 @@ def without_rising(space: Space, empty: Bools) -> Space:
     reached = reached_from_beyond(place, empty)
     if np.array_equal(reached, place):
         return space
-    ways = _level_ways_out(space.state, reached & ~empty)
+    ways = NUMBER[_level_ways_out(space.state, reached & ~empty)]
     # Beside a leg few ways lead out, a little farther away more.
     beside = round(BESIDE_M / space.voxel_size_m)
     below = _open_below(space.state, dilated(ways >= OPEN_WAYS, (beside, beside, 0)))
@@ -48,12 +50,12 @@ def without_rising(space: Space, empty: Bools) -> Space:
 def underside_over_open_space(
     part: Bools, body: Bools, free: Bools, obstacle: Bools, *, height: int, beside: int, line: int
 ) -> Bools:
-    """Return the underside of a part: its lowest voxels above open space below the object.
+    """Return the underside of a part: its voxels beside open space below the object.
 
     Space is open where `OPEN_WAYS` of eight level rays lead out of the grid. Below the part that must be so
-    over the height of a camera, not only over that of a slot in the sides; or `THROUGH_WAYS` rays lead out
-    from there down to the bottom layer, as between side panels. Between open space and the part there may be
-    unseen voxels, but no free ones above these, as of a room inside the object.
+    over the height of a camera, not only over that of a slot in the sides; or two opposite rays lead
+    out from there down to the bottom layer, as between side panels. Between open space and the part there may
+    be unseen voxels, but no free ones above these, as of a room inside the object.
 
     Args:
         part: bool (nx, ny, nz), its last axis up, its bottom layer that above the floor; unseen voxels that
@@ -65,22 +67,25 @@ def underside_over_open_space(
         beside: within so many voxels of open space, `WAYS_BESIDE_LEG` rays are enough.
         line: half the width of a line of sight, in voxels: narrower gaps of the underside are closed.
     """
-    below = np.zeros_like(part)
-    below[:, :, :-1] = part[:, :, 1:] & ~(part | body)[:, :, :-1]
+    filled = part | body
     state = np.where(obstacle, np.uint8(BLOCKED), np.uint8(PASSABLE))
-    asked = ~(part | body) & np.logical_or.accumulate(part[:, :, ::-1], axis=2)[:, :, ::-1]
-    ways, filled = _level_ways_out(state, asked), part | body
-    opened = below & _over_open(filled, free, ways, height, OPEN_WAYS)
-    at_legs = below & _over_open(filled, free, ways, height, WAYS_BESIDE_LEG)
+    asked = ~filled & np.logical_or.accumulate(filled[:, :, ::-1], axis=2)[:, :, ::-1]
+    rays = _level_ways_out(state, asked)
+    around = ~filled & dilated(part, (1, 1, 1))
+    opened, at_legs = (
+        around & _over_open(filled, free, NUMBER[rays] >= least, OPPOSITE[rays], height)
+        for least in (OPEN_WAYS, WAYS_BESIDE_LEG)
+    )
     opened |= at_legs & dilated(opened, (beside, beside, 0))
     return np.asarray(part & dilated(opened, (line, line, 1)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
-    """For each `asked` voxel, count the rays (of 8 level rays) that reach the grid's border.
+    """For each `asked` voxel, find which of 8 level rays reach the grid's border.
 
-    `state` is as in `Space`: BLOCKED voxels stop a ray. The result is (nx, ny, nz), 0 where not `asked`.
+    `state` is as in `Space`: BLOCKED voxels stop a ray. The result is (nx, ny, nz) uint8, 0 where not
+    `asked`: a bit for each ray, where opposite rays have bits n and 7 - n.
     """
     nx, ny, nz = state.shape
     ways = np.zeros(state.shape, np.uint8)
@@ -98,7 +103,7 @@ def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
                 for k in range(nz):
                     leads_out = state[i, j, k] != BLOCKED and following[k]
                     here[j + 1, k] = leads_out
-                    ways[i, j, k] += leads_out and asked[i, j, k]
+                    ways[i, j, k] |= (leads_out and asked[i, j, k]) << (way if way < 4 else way - 1)
             here, onward = onward, here
     return ways
 
@@ -121,11 +126,11 @@ def _open_below(state, open_here):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _over_open(filled, free, ways, height, least):  # type: ignore[no-untyped-def]
+def _over_open(filled, free, wide, through, height):  # type: ignore[no-untyped-def]
     """Return which voxels are open space below an object, or unseen voxels above it.
 
-    `ways` is the number of level rays that lead out; `least` of them over a `height` in voxels make space
-    open. `filled` voxels are of the object or of the part above the space.
+    Space is open where it is `wide` over a `height` in voxels, or leads `through` from the bottom layer up.
+    `filled` voxels are of the object, or of its part above the space.
     """
     nx, ny, nz = filled.shape
     opened = np.zeros(filled.shape, np.bool_)
@@ -137,8 +142,8 @@ def _over_open(filled, free, ways, height, least):  # type: ignore[no-untyped-de
                 if filled[i, j, k] or into_room:
                     high, low, is_open = 0, False, False
                 was_free = (was_free or free[i, j, k]) and not filled[i, j, k]
-                low &= ways[i, j, k] >= THROUGH_WAYS
-                high = high + 1 if ways[i, j, k] >= least else 0
+                low &= through[i, j, k]
+                high = high + 1 if wide[i, j, k] else 0
                 is_open |= low or high >= height
                 opened[i, j, k] = is_open and not filled[i, j, k]
     return opened

@@ -172,8 +172,7 @@ def classify_voxels(
     surface &= ~blurred
     # Next to the floor nothing can be measured: objects above continue down to it.
     surface[:, :, : layers.first] = surface[:, :, layers.first, None]
-    count, closer = (COARSE, None) if roughly else (FINE, rules.limits)
-    lines = narrow(rules.limits, voxel_m), count, closer
+    lines = narrow(rules.limits, voxel_m), *((COARSE, None) if roughly else (FINE, rules.limits))
     sight = swept_from_outside(surface, free, _heights_m(observation.grid, rules), voxel_m, *lines)
     near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
     near_surface[:, :, : layers.first] = False
@@ -215,7 +214,7 @@ def _bottom(part: Bools, body: Bools, free: Bools, obstacle: Bools, rules: Rules
     above_floor, bottom = np.s_[:, :, rules.layers.first :], np.zeros_like(part)
     bottom[above_floor] = underside_over_open_space(
         *(each[above_floor] for each in (part, body, free, obstacle)),
-        height=round(rules.limits.camera_size_m / voxel_m),
+        height=max(1, round(rules.limits.camera_size_m / voxel_m)),
         beside=round(BESIDE_LEG_M / voxel_m),
         line=max(1, round(rules.limits.line_width_m / 2 / voxel_m)),
     )
