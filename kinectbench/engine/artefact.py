@@ -45,7 +45,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 24,
     "track": 16,
     "fuse": 7,
-    "segment": 65,
+    "segment": 66,
     "sample-views": 8,
     "pairs": 4,
     "suggest": 8,

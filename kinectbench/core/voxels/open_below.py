@@ -1,4 +1,4 @@
-"""Open space below an object: where cameras rise into it from below, and what stands over open space."""
+"""Open space below an object: where cameras rise into it from below, and its underside over open space."""
 
 from dataclasses import replace
 
@@ -13,12 +13,12 @@ from kinectbench.core.voxels.morphology import dilated, reached_from_beyond
 # Below an object on legs, this many of eight level rays lead out. Behind a door or a front, and under a desk
 # with a back and two sides, at most three do.
 OPEN_WAYS = 5
-# Between side panels that stand on the floor, this many lead out: a closed body lets none out down there.
-THROUGH_WAYS = 2
 # Beside a leg of an object, one fewer of them leads out.
 WAYS_BESIDE_LEG = 4
-# What is straight below an unseen part: open space, a room inside the object that was seen, or none of these.
-OVER_OPEN, OVER_ROOM, UNDECIDED = 1, 2, 3
+# By the bits of the rays that lead out: their number, and whether two opposite rays do, as between side
+# panels that stand on the floor. Through one door, none are opposite.
+NUMBER = np.array([bits.bit_count() for bits in range(256)], np.uint8)
+OPPOSITE = np.array([any(bits >> ray & bits >> (7 - ray) & 1 for ray in range(4)) for bits in range(256)])
 # Within this distance of a camera position there is one whose ways out no leg blocks: legs are thinner.
 BESIDE_M = 0.3
 
@@ -37,7 +37,7 @@ def without_rising(space: Space, empty: Bools) -> Space:
     reached = reached_from_beyond(place, empty)
     if np.array_equal(reached, place):
         return space
-    ways = _level_ways_out(space.state, reached & ~empty)
+    ways = NUMBER[_level_ways_out(space.state, reached & ~empty)]
     # Beside a leg few ways lead out, a little farther away more.
     beside = round(BESIDE_M / space.voxel_size_m)
     below = _open_below(space.state, dilated(ways >= OPEN_WAYS, (beside, beside, 0)))
@@ -47,16 +47,15 @@ def without_rising(space: Space, empty: Bools) -> Space:
     return replace(space, state=np.where(place & ~reached, np.uint8(PASSABLE), space.state))
 
 
-def over_open_space(
-    part: Bools, body: Bools, free: Bools, obstacle: Bools, *, height: int, beside: int
+def underside_over_open_space(
+    part: Bools, body: Bools, free: Bools, obstacle: Bools, *, height: int, beside: int, line: int
 ) -> Bools:
-    """Return which voxels of a part have open space below the object under them, not a room inside of it.
+    """Return the underside of a part: its voxels beside open space below the object.
 
-    Space is open where `OPEN_WAYS` of eight level rays lead out of the grid. Straight below the part, and not
-    below the body, that must be so over the height of a camera, not only over that of a slot in the sides; or
-    `THROUGH_WAYS` rays lead out from a voxel down to the bottom layer, as between side panels. Where the part
-    itself reaches down to the bottom layer, cameras look in through a side. Above the body and unseen voxels
-    that decides which is so for more of the connected voxels: the lower edge of a body is measured.
+    Space is open where `OPEN_WAYS` of eight level rays lead out of the grid. Below the part that must be so
+    over the height of a camera, not only over that of a slot in the sides; or two opposite rays lead
+    out from there down to the bottom layer, as between side panels. Between open space and the part there may
+    be unseen voxels, but no free ones above these, as of a room inside the object.
 
     Args:
         part: bool (nx, ny, nz), its last axis up, its bottom layer that above the floor; unseen voxels that
@@ -65,28 +64,28 @@ def over_open_space(
         free: bool of the same shape, voxels seen to be empty.
         obstacle: bool of the same shape, voxels that level rays do not cross.
         height: of a camera, in voxels.
-        beside: within so many voxels of one over open space, `WAYS_BESIDE_LEG` rays are enough.
+        beside: within so many voxels of open space, `WAYS_BESIDE_LEG` rays are enough.
+        line: half the width of a line of sight, in voxels: narrower gaps of the underside are closed.
     """
-    from scipy import ndimage
-
+    filled = part | body
     state = np.where(obstacle, np.uint8(BLOCKED), np.uint8(PASSABLE))
-    asked = ~(part | body) & np.logical_or.accumulate(part[:, :, ::-1], axis=2)[:, :, ::-1]
-    ways = _level_ways_out(state, asked)
-    over = _over_open(part, body, free, ways, height, OPEN_WAYS)
-    at_legs = _over_open(part, body, free, ways, height, WAYS_BESIDE_LEG) == OVER_OPEN
-    over[at_legs & dilated(over == OVER_OPEN, (beside, beside, 0))] = OVER_OPEN
-    pieces, count = ndimage.label(part)
-    opened, rooms = (
-        np.bincount(pieces[over == kind], minlength=count + 1) for kind in (OVER_OPEN, OVER_ROOM)
+    asked = ~filled & np.logical_or.accumulate(filled[:, :, ::-1], axis=2)[:, :, ::-1]
+    rays = _level_ways_out(state, asked)
+    around = ~filled & dilated(part, (1, 1, 1))
+    opened, at_legs = (
+        around & _over_open(filled, free, NUMBER[rays] >= least, OPPOSITE[rays], height)
+        for least in (OPEN_WAYS, WAYS_BESIDE_LEG)
     )
-    return np.asarray((over == OVER_OPEN) | ((over == UNDECIDED) & (opened > rooms)[pieces]))
+    opened |= at_legs & dilated(opened, (beside, beside, 0))
+    return np.asarray(part & dilated(opened, (line, line, 1)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
-    """For each `asked` voxel, count the rays (of 8 level rays) that reach the grid's border.
+    """For each `asked` voxel, find which of 8 level rays reach the grid's border.
 
-    `state` is as in `Space`: BLOCKED voxels stop a ray. The result is (nx, ny, nz), 0 where not `asked`.
+    `state` is as in `Space`: BLOCKED voxels stop a ray. The result is (nx, ny, nz) uint8, 0 where not
+    `asked`: a bit for each ray, where opposite rays have bits n and 7 - n.
     """
     nx, ny, nz = state.shape
     ways = np.zeros(state.shape, np.uint8)
@@ -104,7 +103,7 @@ def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
                 for k in range(nz):
                     leads_out = state[i, j, k] != BLOCKED and following[k]
                     here[j + 1, k] = leads_out
-                    ways[i, j, k] += leads_out and asked[i, j, k]
+                    ways[i, j, k] |= (leads_out and asked[i, j, k]) << (way if way < 4 else way - 1)
             here, onward = onward, here
     return ways
 
@@ -127,31 +126,24 @@ def _open_below(state, open_here):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _over_open(part, body, free, ways, height, least):  # type: ignore[no-untyped-def]
-    """Return for each voxel of a part what is straight below it: OVER_OPEN and so on; 0 elsewhere.
+def _over_open(filled, free, wide, through, height):  # type: ignore[no-untyped-def]
+    """Return which voxels are open space below an object, or unseen voxels above it.
 
-    `ways` is the number of level rays that lead out; `least` of them make space open.
+    Space is open where it is `wide` over a `height` in voxels, or leads `through` from the bottom layer up.
+    `filled` voxels are of the object, or of its part above the space.
     """
-    nx, ny, nz = part.shape
-    over = np.zeros(part.shape, np.uint8)
+    nx, ny, nz = filled.shape
+    opened = np.zeros(filled.shape, np.bool_)
     for i in range(nx):
         for j in range(ny):
-            # What is below, and how many voxels of open space; whether it is open from the bottom layer up.
-            below, high, low = OVER_ROOM, 0, True
+            high, low, is_open, was_free = 0, True, False, False
             for k in range(nz):
-                if part[i, j, k]:
-                    over[i, j, k] = below
-                    high, low = 0, False
-                    continue
-                if k == 0 or body[i, j, k - 1] or part[i, j, k - 1]:
-                    below, high = UNDECIDED, 0
-                if body[i, j, k]:
-                    below, high, low = UNDECIDED, 0, False
-                    continue
-                low &= ways[i, j, k] >= THROUGH_WAYS
-                high = high + 1 if ways[i, j, k] >= least else 0
-                if low or high >= height:
-                    below = OVER_OPEN
-                elif free[i, j, k] and below == UNDECIDED:
-                    below = OVER_ROOM
-    return over
+                into_room = was_free and free[i, j, k] and not free[i, j, k - 1]
+                if filled[i, j, k] or into_room:
+                    high, low, is_open = 0, False, False
+                was_free = (was_free or free[i, j, k]) and not filled[i, j, k]
+                low &= through[i, j, k]
+                high = high + 1 if wide[i, j, k] else 0
+                is_open |= low or high >= height
+                opened[i, j, k] = is_open and not filled[i, j, k]
+    return opened

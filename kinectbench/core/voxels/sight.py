@@ -83,15 +83,9 @@ def swept_from_outside(
         count: number of directions, evenly spread.
         closer: limits of the lines that are tried along more directions behind gaps; None: none are.
     """
-    to_camera = directions(count)
-    level_or_up = to_camera[:, 2] >= -LEVEL
-    up, down = to_camera[level_or_up], to_camera[~level_or_up]
+    up, down = _up_and_down(count)
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
-    wide = None
-    if closer is not None:
-        gap_m = _gap_m(obstacle, voxel_size_m, closer.line_width_m / 2)
-        wide = _blocked(gap_m, space.heights_m, closer)
-    lines = _Lines(obstacle, limits, closer, wide, float(np.sqrt(4 * np.pi / count)))
+    lines = _Lines.around(obstacle, space, limits, closer, count)
     lower, nothing = without_rising(space, empty), np.zeros_like(space.state)
     in_lower = lines.marks(lower, up, nothing)
     ways = in_lower if lower is space else lines.marks(space, up, nothing, in_lower)
@@ -101,6 +95,37 @@ def swept_from_outside(
     ways = lines.marks(space, down, from_above)
     any_way = from_above | lines.seen(space, down, ways, from_above)
     return Sight(any_way, of_lower > 0, space, lower)
+
+
+def seen_past(
+    wall: Bools,
+    sight: Sight,
+    obstacle: Bools,
+    among: Bools,
+    voxel_size_m: float,
+    limits: SensorLimits,
+    count: int,
+    closer: SensorLimits | None = None,
+) -> Bools:
+    """Return which voxels `among` others a camera could still see past a wall; True for the others.
+
+    `sight` is what `swept_from_outside` returned for the obstacle, and the last arguments are as there.
+    Neither lines nor cameras cross the wall. `wall`, `obstacle` and `among` are bool (nx, ny, nz).
+    """
+    walled = obstacle | wall
+    space = line_space(walled, sight.space.heights_m, voxel_size_m, limits)
+    lines = _Lines.around(walled, space, limits, closer, count)
+    found = (~among).astype(np.uint8)
+    for to_camera in _up_and_down(count):
+        found |= lines.seen(space, to_camera, lines.marks(space, to_camera, found), found)
+    return np.asarray(found > 0)
+
+
+def _up_and_down(count: int) -> tuple[Float64, Float64]:
+    """Return `directions` in two parts: level or up, and down."""
+    to_camera = directions(count)
+    level_or_up = to_camera[:, 2] >= -LEVEL
+    return to_camera[level_or_up], to_camera[~level_or_up]
 
 
 @dataclass(frozen=True)
@@ -120,6 +145,17 @@ class _Lines:
     closer: SensorLimits | None
     wide: Bools | None
     spacing_rad: float
+
+    @classmethod
+    def around(
+        cls, obstacle: Bools, space: Space, narrow: SensorLimits, closer: SensorLimits | None, count: int
+    ) -> "_Lines":
+        """Return the lines around an obstacle in `space`, narrow ones along `count` directions."""
+        wide = None
+        if closer is not None:
+            gap_m = _gap_m(obstacle, space.voxel_size_m, closer.line_width_m / 2)
+            wide = _blocked(gap_m, space.heights_m, closer)
+        return cls(obstacle, narrow, closer, wide, float(np.sqrt(4 * np.pi / count)))
 
     def marks(
         self,

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from manifold3d import Manifold as Solid
-from numpy.typing import NDArray
 from raising import raises
 from scipy import ndimage
 
@@ -23,14 +22,12 @@ from kinectbench.core.voxels.line_kernels import BLOCKED, FROM_ABOVE, FROM_BELOW
 from kinectbench.core.voxels.lines_of_sight import directions, seen_along
 from kinectbench.core.voxels.morphology import reached_from_beyond
 from kinectbench.core.voxels.open_below import (
+    NUMBER,
     OPEN_WAYS,
-    OVER_OPEN,
-    OVER_ROOM,
-    THROUGH_WAYS,
-    UNDECIDED,
+    OPPOSITE,
     WAYS_BESIDE_LEG,
     _level_ways_out,
-    over_open_space,
+    underside_over_open_space,
 )
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid, seen_from_outside
 from kinectbench.core.voxels.sight import (
@@ -289,47 +286,48 @@ def test_reached_voxels_are_dilated_by_a_ball(radius: float) -> None:
         np.testing.assert_array_equal(grown & bit > 0, dilated)
 
 
-def level_ways(blocked: Bools, place: Bools) -> NDArray[np.int64]:
-    """By stepping along each ray from each voxel of `place`."""
-    ways = np.zeros(blocked.shape, int)
+STEPS = [(a, b, 0) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+
+
+def level_ways(blocked: Bools, place: Bools) -> Bools:
+    """By stepping along each ray from each voxel of `place`: (7, 8, 9, 8), which rays lead out."""
+    ways = np.zeros((*blocked.shape, 8), bool)
     for at in np.argwhere(place):
-        for step in [(a, b, 0) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]:
+        for ray, step in enumerate(STEPS):
             line = [tuple(at + n * np.array(step)) for n in range(10)]
             inside = [cell for cell in line if 0 <= cell[0] < 7 and 0 <= cell[1] < 8]
-            ways[tuple(at)] += not any(blocked[cell] for cell in inside)
+            ways[(*at, ray)] = not any(blocked[cell] for cell in inside)
     return ways
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_is_over_open_space(seed: int) -> None:
+def test_the_underside_over_open_space(seed: int) -> None:
     rng = np.random.default_rng(seed)
     kind = rng.choice(5, (7, 8, 9), p=[0.3, 0.25, 0.1, 0.05, 0.3])
     part, body, obstacle, free = (kind == n for n in (1, 2, 3, 4))
-    ways, below = level_ways(obstacle, ~part), {}
+    filled, over = part | body, {}
+    below = ~filled & np.logical_or.accumulate(filled[:, :, ::-1], axis=2)[:, :, ::-1]
+    ways = level_ways(obstacle, below)
+    through = np.any([ways[..., n] & ways[..., 7 - n] for n in range(8)], axis=0)
     for least in (OPEN_WAYS, WAYS_BESIDE_LEG):
-        below[least] = np.zeros(part.shape, int)
-        for i, j, k in np.argwhere(part):
-            bottom = k
-            while bottom and part[i, j, bottom - 1]:
-                bottom -= 1
-            first = bottom
-            while first and not (part | body)[i, j, first - 1]:
+        over[least] = np.zeros_like(part)
+        for i, j, k in np.argwhere(~filled & ndimage.binary_dilation(part, np.ones((3, 3, 3)))):
+            first = k
+            while first and not filled[i, j, first - 1]:
                 first -= 1
-            gap = "".join("o" if each >= least else "." for each in ways[i, j, first:bottom])
-            passes = first == 0 < bottom and ways[i, j, 0] >= THROUGH_WAYS
-            room = bottom == 0 or free[i, j, first:bottom].any()
-            below[least][i, j, k] = OVER_OPEN if "oo" in gap or passes else OVER_ROOM if room else UNDECIDED
-    pieces, count = ndimage.label(part)
-    for beside in (0, 1):
+            column = free[i, j, first : k + 1]
+            lit = np.maximum.accumulate(column)
+            rooms = np.flatnonzero(lit[:-1] & column[1:] & ~column[:-1]) + 1
+            passes = first == 0 and not len(rooms) and through[i, j, 0]
+            first += rooms[-1] if len(rooms) else 0
+            wide = ways[i, j, first : k + 1].sum(axis=1) >= least
+            over[least][i, j, k] = "oo" in "".join("o" if each else "." for each in wide) or passes
+    for beside, line in ((0, 1), (1, 2)):
         square = np.ones((2 * beside + 1, 2 * beside + 1, 1))
-        at_legs = ndimage.binary_dilation(below[OPEN_WAYS] == OVER_OPEN, square)
-        over = np.where(at_legs & (below[WAYS_BESIDE_LEG] == OVER_OPEN), OVER_OPEN, below[OPEN_WAYS])
-        expected = over == OVER_OPEN
-        for piece in range(1, count + 1):
-            of = pieces == piece
-            if (over[of] == OVER_OPEN).sum() > (over[of] == OVER_ROOM).sum():
-                expected |= of & (over == UNDECIDED)
-        found = over_open_space(part, body, free, obstacle, height=2, beside=beside)
+        beside_open = ndimage.binary_dilation(over[OPEN_WAYS], square)
+        opened = over[OPEN_WAYS] | (beside_open & over[WAYS_BESIDE_LEG])
+        expected = part & ndimage.binary_dilation(opened, np.ones((2 * line + 1, 2 * line + 1, 3)))
+        found = underside_over_open_space(part, body, free, obstacle, height=2, beside=beside, line=line)
         assert (found == expected).all() and expected.any()
 
 
@@ -338,8 +336,11 @@ def test_positions_reached_without_rising(seed: int) -> None:
     rng = np.random.default_rng(seed)
     state = rng.choice([PLACE, PLACE, PLACE, PASSABLE, BLOCKED], (7, 8, 9)).astype(np.uint8)
     place, empty = state == PLACE, rng.random((7, 8, 9)) < 0.3
-    ways = level_ways(state == BLOCKED, place)
-    assert (_level_ways_out(state, place) == ways).all()
+    rays = level_ways(state == BLOCKED, place)
+    ways, bits = rays.sum(axis=-1), _level_ways_out(state, place)
+    assert (np.unpackbits(bits[..., None], axis=-1, bitorder="little").astype(bool) == rays).all()
+    assert (NUMBER[bits] == ways).all()
+    assert (OPPOSITE[bits] == np.any([rays[..., n] & rays[..., 7 - n] for n in range(8)], axis=0)).all()
     may_rise = empty
     inner = np.zeros_like(place)
     inner[1:-1, 1:-1, 1:-1] = True

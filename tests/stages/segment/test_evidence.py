@@ -173,14 +173,17 @@ def test_an_underside_that_nobody_saw_is_what_a_person_says(word: Underside) -> 
     assert (shape.labels[below] == Label.UNKNOWN).all() and not shape.solid[below].any()
 
 
+@pytest.mark.parametrize("lowest_m", [0.08, -1.0])
 @pytest.mark.parametrize("said", ["unseen", "closed"])
-def test_the_word_on_the_underside_is_none_on_what_lies_above_an_opening_in_a_side(said: Underside) -> None:
-    """A box that stands flat, with a window: who looks in sees its bottom, not what is above the window.
+def test_the_word_on_the_underside_is_none_on_what_lies_above_an_opening_in_a_side(
+    said: Underside, lowest_m: float
+) -> None:
+    """A box that stands flat, with a window or a door: who looks in does not see what is above it.
 
-    Only a camera that looks up sees that, through the window.
+    Only a camera that looks up sees that, through the window or the door.
     """
     inner = ((0.08, 0.07, 0.02), (0.24, 0.17, 0.28))
-    window_m = box_distance((0.2, 0.08, 0.08), (1.0, 0.16, 0.16))
+    window_m = box_distance((0.2, 0.08, lowest_m), (1.0, 0.16, 0.16))
     box_m = np.maximum(box_distance((0.06, 0.05, 0.0), (0.26, 0.19, 0.3)), -box_distance(*inner))
     small = SensorLimits(line_width_m=0.02, near_m=0.05, camera_size_m=0.15, camera_height_m=0.03)
     above = within((0.08, 0.07, 0.16), (0.24, 0.17, 0.28))
@@ -189,6 +192,24 @@ def test_the_word_on_the_underside_is_none_on_what_lies_above_an_opening_in_a_si
     lit = within((0.1, 0.09, 0.19), (0.22, 0.15, 0.26)) & (evidence.sight == FROM_BELOW)
     assert lit.sum() > 2000
     assert not evidence.underside[above].any() and (shape.labels[lit] == Label.UNKNOWN).all()
+
+
+def test_the_word_closes_the_bottom_and_not_what_is_seen_through_a_slot() -> None:
+    """A box on legs with a slot in its side: its bottom was not seen, nor what is above the slot."""
+    inner = ((0.08, 0.07, 0.14), (0.24, 0.17, 0.28))
+    slot_m = box_distance((0.2, 0.07, 0.14), (1.0, 0.17, 0.18))
+    leg_m = box_distance((0.06, 0.05, 0.0), (0.08, 0.07, 0.13))
+    box_m = np.maximum(box_distance((0.06, 0.05, 0.12), (0.26, 0.19, 0.3)), -box_distance(*inner))
+    above = within((0.08, 0.07, 0.18), inner[1])
+    observed = observation(
+        np.minimum(np.maximum(box_m, -slot_m), leg_m),
+        hidden=above | within((0.08, 0.07, 0.06), (0.24, 0.17, 0.15)),
+    )
+    small = SensorLimits(line_width_m=0.02, near_m=0.05, camera_size_m=0.06, camera_height_m=0.03)
+    evidence, shape = classified(observed, replace(RULES, limits=small, underside="closed"))
+    through_slot = within((0.1, 0.09, 0.19), (0.14, 0.15, 0.23))
+    assert (shape.labels[through_slot] == Label.UNKNOWN).mean() > 0.9
+    assert evidence.underside[through_slot].mean() < 0.1
 
 
 def test_next_to_the_floor_it_is_as_above() -> None:

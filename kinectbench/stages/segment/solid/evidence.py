@@ -12,8 +12,8 @@ from kinectbench.core.types import Bools, Float32, Underside
 from kinectbench.core.voxels.lines_of_sight import Space
 from kinectbench.core.voxels.morphology import dilated, distance_within_m
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
-from kinectbench.core.voxels.open_below import over_open_space
-from kinectbench.core.voxels.sight import swept_from_outside
+from kinectbench.core.voxels.open_below import underside_over_open_space
+from kinectbench.core.voxels.sight import seen_past, swept_from_outside
 
 # A voxel with less than this share of the surface's median weight was grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
@@ -120,7 +120,7 @@ class VoxelEvidence:
         closed: bool, unseen and part of the object: no camera could see it, or a camera could see it only
             from below and the user states that the underside is closed.
         underside: bool, unseen, and a camera could see it only from below (`Sight.only_from_below`) through
-            the object's underside (`over_open_space`), whatever the user states. In the layers `contact`: the
+            the object's underside (`seen_past`), whatever the user states. In the layers `contact`: the
             voxels below such voxels.
         contact: slice of the layers right above the floor, whose classes follow the layer above them.
         space: where lines of sight pass and cameras can be.
@@ -172,8 +172,7 @@ def classify_voxels(
     surface &= ~blurred
     # Next to the floor nothing can be measured: objects above continue down to it.
     surface[:, :, : layers.first] = surface[:, :, layers.first, None]
-    count, closer = (COARSE, None) if roughly else (FINE, rules.limits)
-    lines = narrow(rules.limits, voxel_m), count, closer
+    lines = narrow(rules.limits, voxel_m), *((COARSE, None) if roughly else (FINE, rules.limits))
     sight = swept_from_outside(surface, free, _heights_m(observation.grid, rules), voxel_m, *lines)
     near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
     near_surface[:, :, : layers.first] = False
@@ -181,7 +180,8 @@ def classify_voxels(
     unseen[:, :, : layers.below] = False
     closed = unseen & (sight.any_way == 0)
     underside = unseen & sight.only_from_below
-    underside &= _through_underside(underside, near_surface | closed, free, surface, rules, voxel_m)
+    bottom = _bottom(underside, near_surface | closed, free, surface, rules, voxel_m)
+    underside &= bottom.any() and ~seen_past(bottom, sight, surface, underside, voxel_m, *lines)
     # In contact with the floor nothing is measured: these layers follow the layer above them.
     of_object, unseen_there = near_surface[:, :, layers.first], unseen[:, :, layers.first]
     solid = of_object | closed[:, :, layers.first]
@@ -209,17 +209,16 @@ def classify_voxels(
     )
 
 
-def _through_underside(
-    part: Bools, body: Bools, free: Bools, obstacle: Bools, rules: Rules, voxel_m: float
-) -> Bools:
-    """Return which voxels of a part, seen only from below, are above open space (`over_open_space`)."""
-    above_floor, over = np.s_[:, :, rules.layers.first :], np.zeros_like(part)
-    over[above_floor] = over_open_space(
+def _bottom(part: Bools, body: Bools, free: Bools, obstacle: Bools, rules: Rules, voxel_m: float) -> Bools:
+    """Return the underside of a part seen only from below (`underside_over_open_space`)."""
+    above_floor, bottom = np.s_[:, :, rules.layers.first :], np.zeros_like(part)
+    bottom[above_floor] = underside_over_open_space(
         *(each[above_floor] for each in (part, body, free, obstacle)),
-        height=round(rules.limits.camera_size_m / voxel_m),
+        height=max(1, round(rules.limits.camera_size_m / voxel_m)),
         beside=round(BESIDE_LEG_M / voxel_m),
+        line=max(1, round(rules.limits.line_width_m / 2 / voxel_m)),
     )
-    return over
+    return bottom
 
 
 def _heights_m(grid: Grid, rules: Rules) -> Float32 | None:
