@@ -74,8 +74,7 @@ def record_command(
     camera = device_to_use(device) if replayed is None else Replay(replayed, speed, given)
     check_new(out)
     with _begun(out, common.workers) if built else nullcontext() as begun:
-        done = _recorded(camera, out, seconds, port, guided)
-        ended_s = time.monotonic()
+        done, ended_s = _recorded(camera, out, seconds, port, guided)
         tell_recorded(common, done, None if replayed is None else speed)
         if done.failure:
             return CANNOT_BE_USED
@@ -85,27 +84,30 @@ def record_command(
 
 def _recorded(
     camera: "Device", out: Path, seconds: float | None, port: int, guided: bool | None
-) -> "Recorded":
-    """Record, with the guide if wanted. Another Ctrl-C while the guide closes does not lose the outcome."""
+) -> "tuple[Recorded, float]":
+    """Record, with the guide if wanted; return the outcome and the time of the last frame, monotonic.
+
+    Another Ctrl-C while the guide closes does not lose the outcome.
+    """
     from kinectbench.record.recorder import record
 
-    done = None
+    done, last_s = None, time.monotonic()
     try:
         with _guide(port, guided, out) as guide, frames_counted(f"record {out}") as progress:
-            done = record(
-                camera,
-                out,
-                seconds,
-                observers=[guide] if guide else [],
-                progress=lambda frames, passed_s: progress(frames, passed_s, guide.sentence if guide else ""),
-            )
+
+            def added(frames: int, passed_s: float) -> None:
+                nonlocal last_s
+                last_s = time.monotonic()
+                progress(frames, passed_s, guide.sentence if guide else "")
+
+            done = record(camera, out, seconds, [guide] if guide else [], added)
     except KeyboardInterrupt:
         if done is None:
             if not out.exists():
                 on_interrupt.words = "stopped before the first frame: nothing was written"
             raise
     assert done is not None
-    return done
+    return done, last_s
 
 
 @contextmanager
@@ -156,7 +158,7 @@ def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess 
 def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | None") -> int:
     """Write a benchmark.yaml into the new recording's folder, build it, and print how long that took.
 
-    `ended_s` is the time at which the recording ended; `begun` is the process that `_begun` started.
+    `ended_s` is the time of the last frame; `begun` is the process that `_begun` started.
     """
     from kinectbench.cli.build import run_stage
     from kinectbench.cli.recordings import write_benchmark

@@ -1,7 +1,10 @@
 """The guide's page: who may read it, and what it may load."""
 
 import http.client
+import os
+import sys
 from collections.abc import Iterator
+from unittest.mock import Mock
 from urllib.parse import urlsplit
 
 import cv2
@@ -12,6 +15,8 @@ from typed import present
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import Camera
+from kinectbench.record.guide import process
+from kinectbench.record.guide.guide import NICER, Guide
 from kinectbench.record.guide.process import _Shown
 from kinectbench.record.guide.server import FILES, Answer, PageServer
 from kinectbench.record.interface import Frame, Setup
@@ -127,3 +132,19 @@ def test_the_picture_that_is_clicked_has_the_pixels_of_depth(registered: bool) -
     left, right = picture[120, 80], picture[120, 240]
     assert (right - left.astype(int) > 60).all() != registered
     assert (abs(left - [0, 0, 200.0]) < 10).all() == registered
+
+
+def test_the_process_ends_without_waiting_for_its_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("os.nice", "signal.signal", "warnings.simplefilter"):
+        monkeypatch.setattr(name, Mock())
+    monkeypatch.setattr("os._exit", Mock(side_effect=SystemExit))
+    with pytest.raises(SystemExit):
+        process._run(Mock(recv=Mock(side_effect=EOFError)), 0, None)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts niceness by thread")
+def test_the_object_is_looked_at_after_the_camera_is_tracked() -> None:
+    guide = Guide(Setup(Camera(64, 48, 50.0, 50.0, 31.5, 23.5), 1000.0, False))
+    assert guide._pool is not None
+    assert guide._pool.submit(os.nice, 0).result() == min(os.nice(0) + NICER, 19)
+    guide.close()

@@ -17,8 +17,9 @@ from small_benchmark import Run
 from written_frames import frame, read, write
 
 from kinectbench.cli.common import Common
-from kinectbench.cli.record import tell_recorded
+from kinectbench.cli.record import _recorded, tell_recorded
 from kinectbench.record import devices
+from kinectbench.record.devices.replay import Replay
 from kinectbench.record.interface import Device, Frame, Setup
 from kinectbench.record.recorder import Recorded
 from kinectbench.stages.ingest.readers import open_recording
@@ -131,6 +132,19 @@ def test_ctrl_c_while_the_guide_closes_keeps_the_line(
     assert run.status == 0 and f"wrote out: {check_prefix(tmp_path / 'out', source)} frames in" in run.out
 
 
+def test_what_a_build_takes_counts_from_the_last_frame(
+    tmp_path: Path, source: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextmanager
+    def late(*_: object) -> Iterator[None]:
+        yield None
+        time.sleep(0.5)
+
+    monkeypatch.setattr("kinectbench.cli.record._guide", late)
+    _, last_s = _recorded(Replay(source, 100.0), tmp_path / "out", None, 0, None)
+    assert time.monotonic() - last_s >= 0.5
+
+
 @pytest.mark.parametrize(("speed", "advised"), [("100", True), ("1", False)])
 def test_missed_frames_are_told(
     command: Callable[..., Run],
@@ -141,7 +155,7 @@ def test_missed_frames_are_told(
     advised: bool,
 ) -> None:
     done = Recorded(tmp_path / "out", "replay", 9, 1, 0, 0, 1.0)
-    monkeypatch.setattr("kinectbench.cli.record._recorded", lambda *_: done)
+    monkeypatch.setattr("kinectbench.cli.record._recorded", lambda *_: (done, 0.0))
     run = command(tmp_path, "record", "out", "--from", str(source), "--speed", speed)
     assert "1 frame never arrived" in run.err and ("give a lower --speed" in run.err) == advised
 

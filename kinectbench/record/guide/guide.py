@@ -1,7 +1,9 @@
 """The guide: tracks each frame, reconstructs the seen part of the object, and chooses the advice."""
 
+import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from threading import Lock
 from typing import TypeAlias
@@ -40,6 +42,8 @@ Picked: TypeAlias = tuple[int, Float64]
 # Messages why a pixel is not accepted.
 NOTHING_THERE = "nothing was measured there: click another spot of the object"
 FLOOR_THERE = "that is the floor: click the object, above where it stands"
+# Niceness of `look`, beside that of its process: half the way to that of the build beside the recording.
+NICER = 5
 # A ball of the object's size fills the picture except for this margin.
 MARGIN = 1.1
 # Number of points that show the path.
@@ -91,7 +95,8 @@ class Guide:
         self.tracker, self.ring = LiveTracker(setup), Ring()
         self.seen: ObjectLook | None = None
         self._speaker, self._looks, self._looked_at = Speaker(), 0, (0, -np.inf)
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="look") if beside else None
+        pool = ThreadPoolExecutor(1, thread_name_prefix="look", initializer=_lower) if beside else None
+        self._pool = pool
         self._look: Future[tuple[KeyframeGraph, ObjectLook | None]] | None = None
         self._picked: Picked | None = None
         # A click arrives on the page's thread; the lock keeps the world and the floor consistent for it.
@@ -246,6 +251,12 @@ class Guide:
         moved = invert_rigid(T_world[first]) @ T_world[-1]
         self._shift_mps = float(np.linalg.norm(moved[:3, 3])) / passed_s
         self._turn_radps = float(rotation_angle_rad(moved[:3, :3])) / passed_s
+
+
+def _lower() -> None:
+    """Lower this thread's priority (on Linux) below that of tracking: a sentence may come later, not age."""
+    with suppress(OSError):
+        os.nice(NICER)
 
 
 def _looked(known: KeyframesSoFar, picked: Picked | None) -> tuple[KeyframeGraph, ObjectLook | None]:

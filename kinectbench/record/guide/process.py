@@ -149,6 +149,7 @@ def _run(connection: Connection, port: int, folder: Path | None) -> None:
                 connection.send(("failed", in_a_line(error)))
                 return
             connection.send(("said", said))
+    os._exit(0)  # a reconstruction that nobody waits for would hold the build up
 
 
 class _Shown:
