@@ -55,7 +55,8 @@ def underside_over_open_space(
     Space is open where `OPEN_WAYS` of eight level rays lead out of the grid. Below the part that must be so
     over the height of a camera, not only over that of a slot in the sides; or two opposite rays lead
     out from there down to the bottom layer, as between side panels. Between open space and the part there may
-    be unseen voxels, but no free ones above these, as of a room inside the object.
+    be unseen voxels, but no free ones above these, as of a room inside the object. Where the part itself
+    reaches down to the bottom layer, it has no underside: cameras look in through a side.
 
     Args:
         part: bool (nx, ny, nz), its last axis up, its bottom layer that above the floor; unseen voxels that

@@ -99,9 +99,9 @@ def swept_from_outside(
 
 def seen_past(
     wall: Bools,
-    sight: Sight,
     obstacle: Bools,
     among: Bools,
+    heights_m: Float32 | None,
     voxel_size_m: float,
     limits: SensorLimits,
     count: int,
@@ -109,11 +109,11 @@ def seen_past(
 ) -> Bools:
     """Return which voxels `among` others a camera could still see past a wall; True for the others.
 
-    `sight` is what `swept_from_outside` returned for the obstacle, and the last arguments are as there.
-    Neither lines nor cameras cross the wall. `wall`, `obstacle` and `among` are bool (nx, ny, nz).
+    Neither lines nor cameras cross the wall. `wall`, `obstacle` and `among` are bool (nx, ny, nz); all other
+    arguments are those of `swept_from_outside`.
     """
     walled = obstacle | wall
-    space = line_space(walled, sight.space.heights_m, voxel_size_m, limits)
+    space = line_space(walled, heights_m, voxel_size_m, limits)
     lines = _Lines.around(walled, space, limits, closer, count)
     found = (~among).astype(np.uint8)
     for to_camera in _up_and_down(count):

@@ -281,14 +281,11 @@ class Renderer:
         return seen
 
 
-# Size of a fist and forearm below the object, and its height above a table.
-ARM_M = (0.07, 0.06, 0.35)
-ARM_RGB = (0.75, 0.56, 0.45)
-# A turntable's plate is wider than the object by this much.
-PLATE_RGB = (0.85, 0.85, 0.82)
-PLATE_RATIO = 1.25
-GRIP_M = 0.015
-HELD_M = 0.8
+# Chosen by eye: size and colour of a fist with its forearm, how far the fist reaches up beside the object that
+# it holds, and the object's height above a table.
+ARM_M, ARM_RGB, GRIP_M, HELD_M = (0.07, 0.06, 0.35), (0.75, 0.56, 0.45), 0.015, 0.8
+# Chosen by eye: colour of a turntable's plate, and how much wider than the object it is.
+PLATE_RGB, PLATE_RATIO = (0.85, 0.85, 0.82), 1.25
 
 
 @dataclass(frozen=True)

@@ -147,7 +147,7 @@ def _run(connection: Connection, port: int, folder: Path | None) -> None:
                 said = Said(number, snapshot.advice.sentence, time.monotonic(), snapshot.T_world_camera)
             except Exception as error:
                 connection.send(("failed", in_a_line(error)))
-                return
+                break
             connection.send(("said", said))
     os._exit(0)  # a reconstruction that nobody waits for would hold the build up
 

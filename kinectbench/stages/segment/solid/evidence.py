@@ -159,9 +159,8 @@ def classify_voxels(
     The grid is upright. `neighbours` are voxels near a neighbour's surface; unmeasured ones may be of the
     object. `beyond` are voxels outside a given box. If `roughly`, fewer lines are tried: to compare solids.
     """
-    voxel_m, layers = observation.grid.voxel_size_m, rules.layers
+    voxel_m, layers, observed = observation.grid.voxel_size_m, rules.layers, _observed(observation)
     contact = slice(layers.below, layers.first)
-    observed = _observed(observation)
     signed_m = _signed_distance_m(observation, rules.ray_width_m)
     free = np.where(observed, signed_m > 0, observation.free >= _least_free_votes(observation))
     behind = observed & ~free
@@ -172,8 +171,9 @@ def classify_voxels(
     surface &= ~blurred
     # Next to the floor nothing can be measured: objects above continue down to it.
     surface[:, :, : layers.first] = surface[:, :, layers.first, None]
-    lines = narrow(rules.limits, voxel_m), *((COARSE, None) if roughly else (FINE, rules.limits))
-    sight = swept_from_outside(surface, free, _heights_m(observation.grid, rules), voxel_m, *lines)
+    count, closer = (COARSE, None) if roughly else (FINE, rules.limits)
+    lines = _heights_m(observation.grid, rules), voxel_m, narrow(rules.limits, voxel_m), count, closer
+    sight = swept_from_outside(surface, free, *lines)
     near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
     near_surface[:, :, : layers.first] = False
     unseen = ~(free | near_surface | excluded)
@@ -181,7 +181,7 @@ def classify_voxels(
     closed = unseen & (sight.any_way == 0)
     underside = unseen & sight.only_from_below
     bottom = _bottom(underside, near_surface | closed, free, surface, rules, voxel_m)
-    underside &= bottom.any() and ~seen_past(bottom, sight, surface, underside, voxel_m, *lines)
+    underside &= bottom.any() and ~seen_past(bottom, surface, underside, *lines)
     # In contact with the floor nothing is measured: these layers follow the layer above them.
     of_object, unseen_there = near_surface[:, :, layers.first], unseen[:, :, layers.first]
     solid = of_object | closed[:, :, layers.first]
