@@ -281,8 +281,8 @@ class Renderer:
         return seen
 
 
-# Chosen by eye: size and colour of a fist with its forearm, how far the fist reaches up beside the object that
-# it holds, and the object's height above a table.
+# Chosen by eye: size and colour of a fist with its forearm, how far the fist reaches up beside the object it
+# holds, and the object's height above a table.
 ARM_M, ARM_RGB, GRIP_M, HELD_M = (0.07, 0.06, 0.35), (0.75, 0.56, 0.45), 0.015, 0.8
 # Chosen by eye: colour of a turntable's plate, and how much wider than the object it is.
 PLATE_RGB, PLATE_RATIO = (0.85, 0.85, 0.82), 1.25
